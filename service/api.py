@@ -19,6 +19,7 @@ from service.bodies import json_route
 from service.downsample import keep, thin_results
 from service.etags import with_etag
 from service.examples import EXAMPLES
+from service.file_names import as_typed
 from service.listing import ListQuery
 from service.lookup import find_job, find_result, has_estimates, parameter_names, stopped_estimate
 from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
@@ -141,7 +142,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             TimeUnit | None, Form(description="what times count; else what the file says")
         ] = None,
     ) -> PreviewOut:
-        return preview(file.file.read(), file.filename or "", t, time_unit, settings)
+        return preview(file.file.read(), as_typed(file.filename or ""), t, time_unit, settings)
 
     @api.get("/jobs", summary="Jobs, newest first or sorted")
     def jobs(caller: Caller, asked: Annotated[ListQuery, Query()]) -> JobList:

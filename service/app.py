@@ -71,7 +71,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))
     app.include_router(comparison.router(store, keys))
-    problem_handlers.install(app)
+    problem_handlers.install(app, keys.needed)
     app.state.supervisor, app.state.store_url = supervisor, settings.store_url
     return app
 

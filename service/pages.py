@@ -96,6 +96,13 @@ def render(template: str, keys_needed: bool, **values: Any) -> Response:
     return HTMLResponse(page.render(values, keys_needed=keys_needed))
 
 
+def missing(keys_needed: bool) -> Response:
+    """The page of an address that has none."""
+    page = render("missing.html", keys_needed)
+    page.status_code = 404
+    return page
+
+
 @cache
 def environment() -> Environment:
     """The templates, with everything put into them escaped."""

@@ -13,9 +13,11 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.responses import Response
 from starlette.routing import Match
 from starlette.types import Scope
 
+from service.pages import missing, prefers_html
 from service.problems import Problem
 from service.responses import Kind
 
@@ -63,8 +65,8 @@ _BODIES = ("application/json", "multipart/form-data")
 _KINDS = get_args(Kind)  # tags of the body's union
 
 
-def install(app: FastAPI) -> None:
-    """Make every error of the application a problem document."""
+def install(app: FastAPI, keys_needed: bool) -> None:
+    """Make every error of the application a problem document; an address that is none has a page, too."""
 
     @app.exception_handler(Problem)
     async def _problem(request: Request, error: Problem) -> JSONResponse:
@@ -79,7 +81,9 @@ def install(app: FastAPI) -> None:
         return _from_validation(error).response()
 
     @app.exception_handler(HTTPException)
-    async def _http(request: Request, error: HTTPException) -> JSONResponse:
+    async def _http(request: Request, error: HTTPException) -> Response:
+        if error.status_code == 404 and prefers_html(request.headers.get("accept", "")):
+            return missing(keys_needed)
         kind = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
         response = Problem(error.status_code, kind, str(error.detail)).response()
         response.headers.update(error.headers or {})

@@ -22,6 +22,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
 from service.columns import match, noted
+from service.file_names import as_asked, named
 from service.problems import Problem, invalid
 from service.schemas import LONGEST_NOTE, MOST_NOTES, Hold, ModelReference, Request, TimeUnit
 from service.validation import ADAPTER, find_model
@@ -59,6 +60,8 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
         raise invalid("request", "is not a JSON object")
     if isinstance(body.get("model"), str):  # is told before its channels are looked for
         find_model(ModelReference(name=body["model"]), Setting)
+    files = as_asked(files, body)
+    _check_all_used(files, body)
     body.setdefault("data", list(files))
     notes: list[str] = []
     test = body.get("test")
@@ -73,6 +76,8 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
         entries = [{"file": name} for name in files]
     if isinstance(entries, list):
         body["series"] = _read_all(entries, files, "series[{}]", body, notes)
+        if body.get("kind") != "simulate":
+            _check_apart(entries, body["series"])
     if notes:
         body["notes"] = [one[:LONGEST_NOTE] for one in notes[:MOST_NOTES]]
     try:
@@ -81,6 +86,32 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
         raise RequestValidationError(
             [item | {"loc": ("body", *item["loc"])} for item in error.errors()]
         ) from None
+
+
+def _check_all_used(files: Mapping[str, bytes], body: Mapping[str, Any]) -> None:
+    """Refuse files that would be left out without a word."""
+    used = set(named(body))
+    if not isinstance(body.get("series"), list) or not used <= set(files):
+        return  # each file is a series; or a name is wrong, which is told where it is looked for
+    for name in files:
+        if name not in used:
+            raise invalid("file", f"no series names '{name}': name it in series, or leave it out")
+
+
+def _check_apart(entries: list[Any], read: list[Any]) -> None:
+    """Refuse what is read twice from one file: it would count as two experiments."""
+    files = [one.get("file") if isinstance(one, dict) else None for one in entries]
+    for j, file in enumerate(files):
+        for k in range(j):
+            if file is not None and files[k] == file and _same(read[k], read[j]):
+                raise invalid(
+                    f"series[{j}].file", f"series[{k}] reads the same of '{file}': give each once"
+                )
+
+
+def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    pairs = ((one.get(member, ()), other.get(member, ())) for member in ("y", "u"))
+    return all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
 
 
 def _read_all(

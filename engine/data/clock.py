@@ -102,6 +102,8 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
         dated = shown.dtype.kind not in "fiub"
         text = str(shown[row]) if dated else f"{times[row]:.12g}"
         hint = _winter(times, row, shown[row], unit) if dated else ""
+        if kind == "repeats" and text.endswith(" 00:00:00"):
+            hint = "; if another column has the time of day, write both in one: 2024-03-01 13:45:00"
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:
         _check_step(times, _step_in(dt, unit))

@@ -35,6 +35,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.arrays import Array
+from engine.data.doubts import days_of_spreadsheet, set_forward
 from engine.data.series import Series
 from engine.data.stamps import candidates, like_times
 from engine.data.tables import Table, read_csv, read_mat, read_npz
@@ -114,9 +115,10 @@ def series_from(
     if t is not None:
         t = _lookup(table, "t", t)[0]
         times = table.times(t)
+    unit = time_unit or table.time_unit or clock_of(t or "")
     channels, inputs = _stacked(table, "y", y_columns), _stacked(table, "u", u_columns)
     try:
-        return Series(
+        series = Series(
             channels,
             inputs if u_columns else None,
             dt=None if step is None else float(step),
@@ -124,11 +126,16 @@ def series_from(
             y_names=y_names,
             u_names=u_names,
             hold=hold or table.hold or "zoh",
-            time_unit=time_unit or table.time_unit or clock_of(t or "") or SECOND,
+            time_unit=unit or SECOND,
             units=_units(y_names, y_columns) | _units(u_names, u_columns),
         )
     except (SeriesError, OptionError) as error:
         raise SeriesError(f"{table.file}: {table.with_lines(str(error))}") from error
+    if isinstance(times, list):
+        table.notes += [table.with_lines(said) for said in (set_forward(times),) if said]
+    elif times is not None and not unit:
+        table.notes += [said for said in (days_of_spreadsheet(series.t),) if said]
+    return series
 
 
 def _times_of(table: Table, channels: Collection[str], dates: bool) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 
 import numpy as np
@@ -11,6 +12,8 @@ from engine.data.clock import date_of, times_in
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
+
+ANY_DATE = re.compile(r"\d{1,4}([./-])\d{1,2}\1\d{1,4}([ T].*)?")
 
 
 def candidates(table: Table, channels: Collection[str] = (), dates: bool = True) -> list[str]:
@@ -28,15 +31,20 @@ def candidates(table: Table, channels: Collection[str] = (), dates: bool = True)
 def holds_dates(table: Table, name: str) -> bool:
     """Whether each cell of a column is a date."""
     values = table.columns[name]
-    return begins_with_date(table, name) and all(date_of(cell) is not None for cell in values)
+    return date_of(_first_cell(table, name)) is not None and all(
+        date_of(cell) is not None for cell in values
+    )
 
 
-def begins_with_date(table: Table, name: str) -> bool:
-    """Whether the first cell of a column that is not empty is a date."""
+def _begins_with_any_date(table: Table, name: str) -> bool:
+    """Whether the first cell that is not empty is a date, in whatever order, which is told but not read."""
+    first = _first_cell(table, name)
+    return date_of(first) is not None or ANY_DATE.fullmatch(first.strip()) is not None
+
+
+def _first_cell(table: Table, name: str) -> str:
     values = table.columns[name]
-    if isinstance(values, np.ndarray):
-        return False
-    return date_of(next(filter(str.strip, values), "")) is not None
+    return "" if isinstance(values, np.ndarray) else next(filter(str.strip, values), "")
 
 
 def _goes_on(table: Table, name: str) -> bool:
@@ -52,7 +60,7 @@ def like_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
     """A column that may well have the times, and why; "" where none does."""
     left = [name for name in table.columns if name not in taken]
     for test, why in (
-        (begins_with_date, "holds dates"),
+        (_begins_with_any_date, "holds dates"),
         (column_counts, "counts up evenly"),
         (_rises, "rises like times"),
     ):

@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -29,6 +30,7 @@ from engine.units import clock_of, is_unit, named_with_unit
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
+TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AP]M)?", re.IGNORECASE)
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
 # Which count before the others: a comma may stand in a name or a number.
 DELIMITERS = (";", "\t", ",")
@@ -94,6 +96,7 @@ class Table:
             if one is None:
                 raise SeriesError(
                     f"{self._place(name, i)}: '{cell.strip()[:40]}' is not a date such as 2024-03-01 13:45:00"
+                    f"{self._repeated(name, cell)}"
                 )
         dates = [one for one in found if one is not None]
         if (row := zone_changes(dates)) is not None:
@@ -101,6 +104,12 @@ class Table:
                 f"{self._place(name, row)}: '{values[row].strip()}' {about_zone(dates[row])}"
             )
         return dates
+
+    def _repeated(self, name: str, cell: str) -> str:
+        """What to do about a line that has the names of the columns once more."""
+        if cell.strip() not in (name, named_with_unit(name)[0]):
+            return ""
+        return "; if this line repeats the names of the columns, delete it"
 
     def with_lines(self, text: str) -> str:
         """The text of an error with lines of the file in place of rows."""
@@ -125,8 +134,16 @@ class Table:
         hint = ""
         if text.count(",") == 1 and _is_number(text.replace(",", ".")):
             hint = "; if it has a decimal comma, write decimal points throughout"
+        elif repeated := self._repeated(name, text):
+            hint = repeated
+        elif date_of(text) is not None:
+            hint = "; only the column of times may hold dates"
         elif DATED.match(text):
-            hint = "; dates of a column of times are read as 2024-03-01 13:45:00"
+            hint = "; dates of a column of times are read as 2024-03-01 13:45:00: write them so"
+        elif TIME_OF_DAY.fullmatch(text):
+            hint = (
+                "; times of day are read with their date, both in one column: 2024-03-01 13:45:00"
+            )
         elif row == 0 and not any(_is_number(cells[0].strip()) for cells in self.columns.values()):
             hint = "; if this line holds units, write them behind the names, as in 't [s]', or delete it"
         raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")
@@ -142,11 +159,15 @@ def read_csv(data: bytes, file: str) -> Table:
 
     Where commas do not part cells they may be those of decimals. Units may have a second line of their own.
     """
+    wide = data.startswith((BOM_UTF16_LE, BOM_UTF16_BE))  # as Excel's "Unicode text" does
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise SeriesError(f"{file}, line {line}: not UTF-8 text; save the file as UTF-8") from error
+        kind = "UTF-16" if wide else "UTF-8"
+        raise SeriesError(
+            f"{file}, line {line}: not {kind} text; save the file as UTF-8"
+        ) from error
     if "\0" in text:
         raise SeriesError(f"{file} is not a text file; a CSV is needed")
     lines = text.splitlines()
@@ -171,14 +192,18 @@ def read_csv(data: bytes, file: str) -> Table:
         if first >= last:
             raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
     delimiter = told[1] if told else _delimiter(lines[first:last])
+    below = _names_below(lines, first, last)
     reader = csv.reader(lines[first:last], delimiter=delimiter)
     rows: list[list[str]] = []
     numbers: list[int] = []
     try:
         each = _short_cells(reader)
         names = [name.strip() for name in next(each)]
-        open_ended = len(names) > 1 and not names[-1]  # each line ends with a delimiter
-        _check_header(names[: len(names) - open_ended], file, first + 1)
+        # Lines may end with delimiters; columns without a name and a value are none.
+        named = len(names)
+        while named > 1 and not names[named - 1]:
+            named -= 1
+        _check_header(names[:named], file, first + 1, below)
         for row in each:
             # An empty line is a missing value where there is one column, nothing otherwise.
             if not row and len(names) == 1:
@@ -186,15 +211,16 @@ def read_csv(data: bytes, file: str) -> Table:
             if not row:
                 continue
             if len(row) != len(names):
-                raise _ragged(row, names, file, first + reader.line_num)
-            if open_ended and row.pop().strip():
-                raise SeriesError(f"{file}, line {first + 1}: column {len(names)} has no name")
-            rows.append(row)
+                raise _ragged(row, names, file, first + reader.line_num, below)
+            for i in range(named, len(row)):
+                if row[i].strip():
+                    raise _nameless(i, file, first + 1, below)
+            rows.append(row[:named])
             numbers.append(first + reader.line_num)
     except csv.Error as error:
         reason = _TOO_LONG if "field limit" in str(error) else str(error)
         raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
-    names = names[: len(names) - open_ended]
+    names = names[:named]
     if rows and (units := _units_in(rows[0])):
         names = [
             f"{name} [{unit}]" if unit and not named_with_unit(name)[1] else name
@@ -368,7 +394,41 @@ def _stored_names(value: object) -> list[str]:
     return list(map(str, value.ravel())) if isinstance(value, np.ndarray) else []
 
 
-def _check_header(names: list[str], file: str, line: int) -> None:
+def _names_below(lines: Sequence[str], first: int, last: int) -> str:
+    """A hint where not the first line has the names of the columns but one below, as loggers write them."""
+    head = lines[first : min(first + LOOKED_AT, last)]
+    for i, line in enumerate(head[:-1]):
+        for delimiter in DELIMITERS:
+            names, row = (text.split(delimiter) for text in (line, head[i + 1]))
+            if len(names) > 1 and len(row) == len(names) and _are_names(names) and _are_values(row):
+                return (
+                    f"; if line {first + i + 1} has the names, delete the lines above it"
+                    if i
+                    else ""
+                )
+    return ""
+
+
+def _are_names(cells: Sequence[str]) -> bool:
+    names = [cell.strip(' "') for cell in cells]
+    return all(names) and len(set(names)) == len(names) and not any(map(_is_number, names))
+
+
+def _are_values(cells: Sequence[str]) -> bool:
+    """Whether cells are those of a row: numbers, dates and empty ones, and one number at least."""
+    told = [cell.strip(' "') for cell in cells]
+    numbers = [_is_number(_pointed(cell)) and cell.lower() not in MISSING for cell in told]
+    return any(numbers) and all(
+        number or cell.lower() in MISSING or date_of(cell) is not None or DATED.match(cell)
+        for number, cell in zip(numbers, told, strict=True)
+    )
+
+
+def _nameless(column: int, file: str, line: int, hint: str) -> SeriesError:
+    return SeriesError(f"{file}, line {line}: column {column + 1} has no name{hint}")
+
+
+def _check_header(names: list[str], file: str, line: int, hint: str) -> None:
     if all(_is_number(name) for name in names if name) and any(names):
         raise SeriesError(
             f"{file}, line {line}: the first line holds numbers; it must name the columns, "
@@ -376,16 +436,16 @@ def _check_header(names: list[str], file: str, line: int) -> None:
         )
     for i, name in enumerate(names):
         if not name and len(names) > 1:
-            raise SeriesError(f"{file}, line {line}: column {i + 1} has no name")
+            raise _nameless(i, file, line, hint)
         if names.count(name) > 1:
-            raise SeriesError(f"{file}, line {line}: two columns are named '{name}'")
+            raise SeriesError(f"{file}, line {line}: two columns are named '{name}'{hint}")
 
 
-def _ragged(row: list[str], names: list[str], file: str, line: int) -> SeriesError:
-    hint = ""
-    if len(row) == 2 * len(names):
+def _ragged(row: list[str], names: list[str], file: str, line: int, below: str) -> SeriesError:
+    hint = below
+    if not hint and len(row) == 2 * len(names):
         hint = "; are these decimal commas? write decimal points, or separate by semicolons"
-    elif len(row) > len(names) and not any(map(str.strip, row[len(names) :])):
+    elif not hint and len(row) > len(names) and not any(map(str.strip, row[len(names) :])):
         hint = "; the line ends with a separator, and that of the names does not"
     return SeriesError(
         f"{file}, line {line}: {len(row)} cells for {len(names)} columns ({', '.join(names)}){hint}"

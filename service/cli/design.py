@@ -177,7 +177,7 @@ def _bounds(wanted: Asked) -> dict[str, Any]:
 
 
 def _named(option: str, text: str) -> tuple[str, str]:
-    name, equals, value = text.rpartition("=")
+    name, equals, value = text.partition("=")
     if not (equals and name):
         raise wrong(f"{option} {text}: NAME=LOW:HIGH is needed")
     return name, value

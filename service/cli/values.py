@@ -14,7 +14,7 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
     """``["a=1", "b=2"]`` as a dict."""
     out = {}
     for text in texts:
-        name, equals, value = text.rpartition("=")
+        name, equals, value = text.partition("=")
         if not (equals and name.strip() and value.strip()):
             raise wrong(f"{option} {text}: NAME=VALUE is needed")
         if name.strip() in out:

@@ -13,7 +13,7 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from service.guide import markdown, reference
-from service.pages import render
+from service.pages import missing, prefers_html, render
 from service.problems import Problem
 
 PAGES = Path(__file__).parent / "pages"
@@ -32,6 +32,8 @@ def routes(keys_needed: bool) -> list[BaseRoute]:
 
     def page(request: Request) -> Response:
         name = request.path_params["name"]
+        if name not in ORDER and prefers_html(request.headers.get("accept", "")):
+            return missing(keys_needed)
         if name not in ORDER:
             detail = f"the Guide has no page '{name}'; it has {', '.join(ORDER)}"
             return Problem(404, "no-such-page", detail).response()

@@ -318,7 +318,6 @@ def test_plain_lines_tell_what_was_read(rbps, flows):
 @pytest.mark.parametrize(
     ("column", "times", "why"),
     [
-        ("Zeit", [f"2024-03-01 00:00:{k:02}" for k in range(9)], "holds dates"),
         ("when", [k**1.5 for k in range(9)], "rises like times"),
         ("year", range(1871, 1880), "counts up evenly"),
     ],
@@ -516,6 +515,14 @@ def test_serve(tmp_path):
     finally:
         run.send_signal(signal.SIGINT)
         run.communicate(timeout=600)
+
+
+def test_a_column_with_an_equals_sign(rbps, tmp_path):
+    (tmp_path / "a.csv").write_text("t,q=5,pump\n0,1,2\n1,2,3\n2,1,2\n")
+    found = rbps("simulate", "-m", "tanks", "--inputs", tmp_path / "a.csv", "--map", "pump=q=5",
+                 "-o", "run.csv")  # fmt: skip
+    assert found.exit_code == 0, found.stderr
+    assert engine.Series.read(tmp_path / "run.csv").u[:, 0].tolist() == [1.0, 2.0, 1.0]
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "past"])

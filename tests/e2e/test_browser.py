@@ -432,6 +432,20 @@ def test_no_step_is_sent_that_nobody_typed(visit, tmp_path):
     eventually(page, lambda: '"dt": 0.5' in page.inner_text("#request-text"))
 
 
+def test_a_file_of_any_name_is_sent(visit):
+    page = visit("/?model=local-level")
+    ready(page)
+    name = 'Gr\u00f6\u00dfe "1" #2 &%20.csv'
+    rows = "t,flow\n" + "".join(f"{k},{k % 7}\n" for k in range(30))
+    page.set_input_files("#file", {"name": name, "mimeType": "text/csv", "buffer": rows.encode()})
+    page.wait_for_selector("#channels select")
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    job = f"{visit.address}/jobs/{page.url.rpartition('/')[2]}"
+    assert httpx.get(f"{job}/request").json()["data"] == [name]
+    httpx.post(f"{job}/stop")
+
+
 def test_numbers_keep_their_digits(visit):
     page = visit("/")
     shown = page.evaluate(

@@ -176,6 +176,34 @@ def test_several_files_are_several_series(client, ended, data):
     assert len(found["states"]["series"]) == 3
 
 
+def test_a_name_as_browsers_send_it(client, data):
+    """They write a quotation mark in it as %22; who sends %22 itself means that."""
+    rows = csv([["y"], *data])
+    for sent, asked in (("a %22b%22.csv", 'a "b".csv'), ("a%22.csv", "a%22.csv")):
+        answer = post_files(client, BASE | {"series": [{"file": asked}]}, (sent, rows))
+        assert answer.status_code == 201, answer.text
+        assert client.get(f"{answer.headers['location']}/request").json()["data"] == [asked]
+        client.post(f"{answer.headers['location']}/stop")
+    shown = client.post("/preview", files={"file": ("a %22b%22.csv", rows)})
+    assert shown.json()["file"] == 'a "b".csv'
+
+
+def test_files_are_all_used_and_each_once(client, data):
+    one, other = (csv([["y", "z"], *((y, n * y) for (y,) in data)]) for n in (1, 2))
+    both = [("a.csv", one), ("b.csv", other)]
+    answer = post_files(client, BASE | {"series": [FILE]}, *both)
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["message"].startswith("no series names 'b.csv'")
+    answer = post_files(client, BASE | {"series": [FILE, FILE]}, both[0])
+    assert answer.json()["errors"][0] == {
+        "field": "series[1].file", "message": "series[0] reads the same of 'a.csv': give each once",
+    }  # fmt: skip
+    columns = [FILE | {"y": ["y"]}, {"file": "b.csv", "y": ["z"]}, {"file": "b.csv", "y": ["y"]}]
+    answer = post_files(client, BASE | {"series": columns}, *both)  # columns may be experiments
+    assert answer.status_code == 201, answer.text
+    client.post(f"{answer.headers['location']}/stop")
+
+
 class Evil:
     def __reduce__(self):
         return os.system, ("touch /tmp/rbps-was-unpickled",)

@@ -69,6 +69,14 @@ def test_files_that_are_not_there(client):
         assert client.get(path).status_code == 404
 
 
+def test_an_address_that_is_none_has_a_page_for_browsers(client):
+    for path in ("/nope", "/guide/nope", "/static/nothing.js"):
+        page = client.get(path, headers={"Accept": "text/html,*/*;q=0.8"})
+        assert (page.status_code, page.headers["content-type"]) == (404, "text/html; charset=utf-8")
+        assert "There is no such page" in page.text
+        assert client.get(path).headers["content-type"] == "application/problem+json"
+
+
 def look(client, name, data, **form):
     return client.post("/preview", files={"file": (name, data)}, data=form)
 

@@ -555,3 +555,75 @@ def test_a_step_that_is_assumed_beside_what_looks_like_times_is_told(tmp_path):
         read_series(of(tmp_path, "hours,y\n0,1\n2,2\n4,1\n"))
     assert read_series(of(tmp_path, "hours,y\n0,1\n2,2\n4,1\n"), dt=2.0).dt == 2.0
     assert read_series(of(tmp_path, "u,y\n0,1\n1,2\n2,1\n")).dt == 1.0  # plain, and silent
+
+
+def test_dates_that_leave_out_an_hour(tmp_path):
+    """Where summer time begins; other gaps, other days and times with a zone are none of it."""
+    before = [f"2024-03-31 01:{k}:00" for k in range(50, 60)]
+    after = [f"2024-03-31 03:0{k}:00" for k in range(5)]
+
+    def read(stamps):
+        return read_series(of(tmp_path, "time,y\n" + "".join(f"{one},1\n" for one in stamps)))
+
+    told = r"a gap of 3660 s ends at line 12 \(2024-03-31 03:00:00\).*write the time stamps with their zone"
+    with pytest.warns(ReadingWarning, match=told):
+        read([*before, *after])
+    read([*before[:-2], *after])
+    read([one.replace("03-31", "04-03") for one in [*before, *after]])
+    zoned = [*(f"{one}+01:00" for one in before), *(f"{one}+02:00" for one in after)]
+    assert read(zoned).dt == 60.0
+
+
+def test_days_of_a_spreadsheet(tmp_path):
+    def read(times, name="time"):
+        return read_series(of(tmp_path, f"{name},y\n" + "".join(f"{t!r},1\n" for t in times)))
+
+    days = [round(45382.0 + k * 10.0 / 86400.0, 7) for k in range(50)]
+    with pytest.warns(ReadingWarning, match="look like days of a spreadsheet, one row every 10 s"):
+        read(days)
+    assert read(days, "time [day]").time_unit == "day"
+    for dt in (1e-4, 1e-3, 0.01, 0.02, 1.0 / 60.0, 1.0 / 1024.0, 1.0 / 12800.0, 1.0, 10.0):
+        read([45382.0 + k * dt for k in range(50)])  # seconds of a day
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Operator\tMeyer\n\nt\tu\ty\n0\t1\t2\n1\t1\t2\n", "if line 3 has the names, delete the lines above"),
+        ("LabVIEW\t\nSeparator\tTab\nt\ty\n0\t1\n1\t2\n", "no name; if line 3 has the names"),
+        ("t,y\n0,1\nt,y\n1,2\n", "line 3, column 't': 't' is not .*repeats the names of the columns, delete"),
+        ("time,y\n2024-01-01,1\ntime,y\n", "line 3, .*if this line repeats the names of the columns"),
+        ("Date,Time,y\n2024-01-01,00:00:10,1\n2024-01-01,00:00:20,1\n", "with their date, both in one column"),
+        ("t,y\n01.03.2024 12:00,1\n02.03.2024 12:00,1\n", "read as 2024-03-01 13:45:00: write them so"),
+    ],
+)  # fmt: skip
+def test_what_to_do_about_a_file(tmp_path, text, words):
+    with pytest.raises(SeriesError, match=words):
+        read_series(of(tmp_path, text))
+
+
+def test_dates_without_the_time_of_day_beside_them(tmp_path):
+    path = of(tmp_path, "day,clock,y\n2024-01-01,00:10,1\n2024-01-01,00:20,1\n")
+    with pytest.raises(
+        SeriesError, match="if another column has the time of day, write both in one"
+    ):
+        read_series(path, t="day")
+
+
+def test_empty_columns_at_the_end_and_utf_16(tmp_path):
+    assert read_series(of(tmp_path, "t,y,,\n0,1,,\n2,2,,\n")).dt == 2.0
+    with pytest.raises(SeriesError, match="line 1: column 4 has no name"):
+        read_series(of(tmp_path, "t,y,,\n0,1,,\n2,2,,7\n"))
+    for encoding in ("utf-16", "utf-16-be"):
+        text = "\ufeff" * (encoding != "utf-16") + "t\ty\n0\t1,5\n2\t2,5\n"
+        (tmp_path / "b.txt").write_bytes(text.encode(encoding))
+        assert read_series(tmp_path / "b.txt").y[:, 0].tolist() == [1.5, 2.5]
+    (tmp_path / "b.txt").write_bytes("t\ty\n".encode("utf-16") + b"x")
+    with pytest.raises(SeriesError, match="not UTF-16 text"):
+        read_series(tmp_path / "b.txt")
+
+
+def test_a_date_in_another_order_is_named_where_a_step_is_assumed(tmp_path):
+    path = of(tmp_path, "Zeitstempel;y\n31.03.2024 12:00;1\n31.03.2024 12:01;2\n")
+    with pytest.warns(ReadingWarning, match="as 'Zeitstempel' holds dates"):
+        read_series(path)
