@@ -31,6 +31,7 @@ CASES = {  # columns, outputs, inputs, what is found
     "time is time": ("time,level_V", "level", "", {"level": "level_V"}),
     "time with its unit": ("time [h],level_V", "level", "", {"level": "level_V"}),
     "time, its unit by a line": ("time_min,t_ms,T [days],level", "level", "", {"level": "level"}),
+    "time over its unit": ("time/ms,level", "level", "", {"level": "level"}),
     "a temperature": ("t,T,y", "T", "y", {"T": "T", "y": "y"}),
     "a temperature that is no channel": ("T,t,y_V,T_s,Ts", "y", "", {"y": "y_V"}),
     "no temperature": ("t,P", "T", "P", {"P": "P"}),
