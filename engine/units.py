@@ -86,6 +86,12 @@ def clock_of(column: str) -> str:
     return _CLOCKS[word] or word if word in _CLOCKS else ""
 
 
+def time_column(clock: str) -> str:
+    """The name of a column of times that tells their unit, ``t [min]``; ``t`` of seconds, or where none can."""
+    named = f"t [{clock}]"
+    return named if clock != SECOND and clock_of(named) == clock else "t"
+
+
 def times_among(columns: Iterable[str], channels: Collection[str] = ()) -> list[str]:
     """The columns that are called as times are, ``t`` and ``time`` first; none that is a model's channel."""
     found = [one for one in columns if TIMES.fullmatch(one) and one not in channels]

@@ -31,7 +31,7 @@ def design(
     options = request.options
     asked = asked_of(
         job.model,
-        options.bounds,
+        request.bounds,
         options.length,
         options.model_dump()["causes"],
         job.theta,

@@ -23,8 +23,10 @@ from service.store import Store
 from service.strict_json import finite
 
 FILE_POINTS = 3000  # of a curve in a report as a file
-From = Annotated[float, Query(alias="from", allow_inf_nan=False, description="time in seconds")]
-To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time in seconds")]
+From = Annotated[
+    float, Query(alias="from", allow_inf_nan=False, description="time, in the unit of the record")
+]
+To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time")]
 # A report has no script, loads nothing, and brings its own style.
 FILE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 

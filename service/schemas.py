@@ -452,8 +452,9 @@ class DesignOptions(_Strict):
     """effects with their sizes, or with values of their own and the model's parameters by name, and the
     information that a record gave of them"""
     bounds: dict[str, Any]
-    """inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, high]}, dt
-    in seconds, sigmas, hold, substeps"""
+    """inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, high]}, dt,
+    time_unit, sigmas, hold, substeps. Times, rates and frequencies are in time_unit. Where dt, time_unit or
+    substeps are left out, they are those of the model's setting"""
     length: int = Field(ge=30, le=20_000)
     """number of samples of the experiment"""
     alarm: float | None = Field(default=None, gt=0, allow_inf_nan=False)
@@ -474,6 +475,15 @@ class DesignRequest(_Job):
     """none is needed"""
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DesignOptions
+
+    @property
+    def bounds(self) -> dict[str, Any]:
+        """The bounds; what they leave out is as in the data for which the effects were made."""
+        known = {} if self.model.setting is None else self.model.setting.model_dump()
+        given = {name: value for name, value in self.options.bounds.items() if value is not None}
+        return {
+            name: known[name] for name in ("dt", "substeps", "time_unit") if name in known
+        } | given
 
 
 Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest

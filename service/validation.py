@@ -288,10 +288,10 @@ def _check_design(request: DesignRequest, model: MixedModel, theta: Theta) -> No
     """Raise Problem 422 for bounds or causes that cannot be used, naming the field."""
     options = request.options
     try:
-        bounds = Bounds.of(options.bounds)
+        bounds = Bounds.of(request.bounds)
         bounds.check(model)
         if bounds.dt is None:
-            raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
+            raise OptionError("bounds.dt is missing: the time between samples", "bounds.dt")
         causes = options.model_dump()["causes"]
         free = request.parameters.free
         _called(

@@ -12,6 +12,7 @@ import numpy as np
 from engine.errors import OptionError
 from engine.json_values import plain
 from engine.presentation.display import View, line, show, table
+from engine.units import SECOND, clock_of, time_column
 from engine.words import number, percent, with_unit
 
 if TYPE_CHECKING:
@@ -142,8 +143,11 @@ def write_csv(d: Design, path: str | Path, shortest: bool) -> Path:
         )
     file = Path(path)
     with file.open("w", newline="", encoding="utf-8") as out:
+        head = time_column(d.time_unit)
+        if (clock_of(head) or SECOND) != d.time_unit:
+            out.write(f"# time unit: {d.time_unit}\n")
         rows = csv.writer(out, lineterminator="\n")
-        rows.writerow(["t", *d.model.inputs])
+        rows.writerow([head, *d.model.inputs])
         for k, values in enumerate(one.u.tolist()):
             rows.writerow([f"{k * d.dt:.{DIGITS}g}", *(f"{value:.{DIGITS}g}" for value in values)])
     return file

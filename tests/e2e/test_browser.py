@@ -271,7 +271,7 @@ def test_diagnose_and_go_on_with_the_extension(visit):
 
 
 @pytest.mark.slow
-def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
+def test_a_diagnosis_leads_to_the_next_experiment(visit, address, tmp_path):
     rng = np.random.default_rng(0)
     model = engine.get_model("oscillator", effects=["coulomb:velocity"])
     u = np.repeat(rng.uniform(-1, 1, 20), 10)
@@ -281,7 +281,15 @@ def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
     asked = {
         "kind": "diagnose",
         "model": "oscillator",
-        "series": [{"y": record.y.tolist(), "u": record.u.tolist(), "dt": 0.05, "hold": "foh"}],
+        "series": [
+            {
+                "y": record.y.tolist(),
+                "u": record.u.tolist(),
+                "dt": 0.05,
+                "hold": "foh",
+                "time_unit": "min",
+            }
+        ],
         "options": {"effects": ["coulomb:velocity", "drag:velocity"], "seed": 0},
     }
     job = httpx.post(f"{address}/jobs", json=asked).headers["location"]
@@ -289,6 +297,10 @@ def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
     page.wait_for_selector("#status.successful")
     page.click("#next")
     assert page.locator("#design-causes input:checked").count() == 2
+    form = page.inner_text("#design-form")
+    assert "change per min" in form
+    assert "stop bands, 1/min" in form
+    assert "Time between samples, min" in form
     for what, value in (("low", "-1"), ("high", "1"), ("rate", "20"), ("stopbands", "0.5:1, 3:4")):
         page.fill(f'#design-inputs [data-what="{what}"]', value)
     page.fill('#design-inputs [data-what="forbidden"]', "0.1:x")
@@ -316,6 +328,13 @@ def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
     assert bounds["states"] == {"position": [None, 3.0]}
     assert bounds["dt"] == pytest.approx(0.05)
     assert bounds["hold"] == "foh"
+    assert design["time_unit"] == bounds["time_unit"] == "min"
+    assert "0.05 min" in page.inner_text("#results")
+    with page.expect_download() as saved:
+        page.click("#input-file")
+    saved.value.save_as(tmp_path / "input.csv")
+    assert (tmp_path / "input.csv").read_text().startswith("t [min],drive\n")
+    assert engine.Series.read(tmp_path / "input.csv", y=["drive"]).time_unit == "min"
     diagnosed = httpx.get(f"{job}/results" if "://" in job else f"{address}{job}/results").json()
     assert bounds["substeps"] == diagnosed["diagnosis"]["extension"]["model"]["setting"]["substeps"]
 

@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.design.candidates import ALARM
-from service import designs, diagnoses, strict_json
+from service import designs, diagnoses, strict_json, validation
 from service.examples import EXAMPLES
 
 REQUEST = EXAMPLES["design"]["value"]
@@ -104,6 +104,27 @@ def test_a_stored_diagnosis_asks_for_the_same_as_the_diagnosis_itself(client, en
     there = client.get(f"{url}/results").json()["design"]
     assert there["experiment"] == json.loads(strict_json.dumps(own.to_dict()))["experiment"]
     assert there["growth"] == json.loads(strict_json.dumps(own.to_dict()))["growth"]
+
+
+def test_what_bounds_leave_out_is_as_in_the_data_of_the_effects(monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        designs, "asked_of", lambda _, bounds, *__, **___: seen.append(bounds) or 1 / 0
+    )
+    setting = {"span": [0.0, 9.0], "dt": 0.02, "substeps": 2, "time_unit": "min"}
+    limits = {"inputs": {"drive": [-1.0, 1.0]}, "time_unit": None}
+    for more in ({}, {"dt": 0.5, "time_unit": "h"}):
+        asked = _with(bounds={**limits, **more}) | {
+            "model": {"name": "oscillator", "setting": setting}
+        }
+        prepared = validation.load(asked)
+        with pytest.raises(ZeroDivisionError):
+            designs.design(prepared, prepared.request, None)
+    first, second = seen
+    assert {name: first[name] for name in ("dt", "substeps", "time_unit")} == {
+        "dt": 0.02, "substeps": 2, "time_unit": "min",
+    }  # fmt: skip
+    assert (second["dt"], second["substeps"], second["time_unit"]) == (0.5, 2, "h")
 
 
 def test_an_older_document_is_refused(diagnosed):

@@ -28,7 +28,7 @@ class Drawer(Protocol):
 class OnPage:
     """For a page with scripts: charts over a long axis become places for them, with data in ``charts``.
 
-    Of long curves over time fewer points are given, with their extremes. ``zoom`` = (from, to) in seconds
+    Of long curves over time fewer points are given, with their extremes. ``zoom`` = (from, to) in time
     gives ``finer`` instead: {number of the chart: more of its points there}.
     """
 

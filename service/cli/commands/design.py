@@ -41,7 +41,9 @@ def design(
     inputs: Annotated[
         list[str],
         typer.Option(
-            "--input", metavar="NAME=LOW:HIGH[:RATE]", help="Range of an input, change per second."
+            "--input",
+            metavar="NAME=LOW:HIGH[:RATE]",
+            help="Range of an input, change per unit of time (s).",
         ),
     ] = [],  # noqa: B006
     stopbands: Annotated[
@@ -49,7 +51,7 @@ def design(
         typer.Option(
             "--stopband",
             metavar="INPUT=LOW:HIGH",
-            help="Frequencies, Hz, that an input must not excite; again for more.",
+            help="Frequencies, cycles per unit of time (Hz), that an input must not excite; again for more.",
         ),
     ] = [],  # noqa: B006
     states: Annotated[
@@ -69,7 +71,7 @@ def design(
             exists=True,
             dir_okay=False,
             help="The same and more as JSON: inputs (low, high, rate, forbidden, stopbands, start), states, "
-            "outputs, dt, sigmas, hold, substeps.",
+            "outputs, dt, time_unit, sigmas, hold, substeps.",
         ),
     ] = None,
     tries: Annotated[int, typer.Option(metavar="N", min=1, help="Inputs that are tried.")] = 400,

@@ -1,6 +1,7 @@
 // The form of a diagnosis' page that asks for the next experiment, and the file of a designed input.
 
 import { element, get, post, Problem } from "/static/api.js";
+import { isTime } from "/static/start/match.js";
 
 const by = (name) => document.getElementById(name);
 const CELLS = { low: "number", high: "number", rate: "number", forbidden: "text", stopbands: "text" };
@@ -11,6 +12,9 @@ export function offer(diagnosis) {
   if (!diagnosis.next || !inputs.length) return; // fewer than two causes were weighed, or nothing can be tried
   by("next").hidden = false;
   by("next").addEventListener("click", () => { by("design").hidden = false; by("design").scrollIntoView(); by("design-length").focus(); });
+  const clock = diagnosis.time_unit ?? "s";
+  for (const place of by("design").querySelectorAll("[data-clock]")) place.textContent = clock;
+  for (const place of by("design").querySelectorAll("[data-frequency]")) place.textContent = clock === "s" ? "Hz" : `1/${clock}`;
   by("design-causes").replaceChildren(...Object.keys(diagnosis.next.causes).map((name) => element("label", { class: "check" },
     element("input", { type: "checkbox", checked: "", value: name }), ` ${name}`)));
   by("design-inputs").replaceChildren(...inputs.map(([name, unit]) => element("tr", {}, element("th", { scope: "row" }, name),
@@ -60,6 +64,7 @@ function request(diagnosis) {
     dt: Number(by("design-dt").value),
   };
   if (hold) bounds.hold = hold;
+  if (diagnosis.time_unit) bounds.time_unit = diagnosis.time_unit;
   if (model.setting.substeps) bounds.substeps = model.setting.substeps;
   return {
     kind: "design",
@@ -75,13 +80,20 @@ function request(diagnosis) {
   };
 }
 
+// The head of a file of inputs, as Design.to_csv writes it: it tells the unit of time to who reads it.
+function head(clock, names) {
+  const time = `t [${clock}]`;
+  if (clock === "s") return ["t", ...names].join(",");
+  return isTime(time) ? [time, ...names].join(",") : `# time unit: ${clock}\n${["t", ...names].join(",")}`;
+}
+
 // A link to the designed input as a CSV file.
 export async function inputFile(link, here, name) {
   const { design } = await get(`${here}/results`);
   const { t, u } = design.experiment;
   const names = Object.keys(u);
   const rows = t.map((time, i) => [time, ...names.map((one) => u[one][i])].join(","));
-  link.href = URL.createObjectURL(new Blob([["t", ...names].join(","), "\n", rows.join("\n"), "\n"], { type: "text/csv" }));
+  link.href = URL.createObjectURL(new Blob([head(design.time_unit ?? "s", names), "\n", rows.join("\n"), "\n"], { type: "text/csv" }));
   link.download = name;
   link.hidden = false;
 }

@@ -2,6 +2,7 @@
 
 import csv
 import importlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -211,6 +212,15 @@ def test_a_design_takes_the_unit_of_the_diagnosed_record(made):
     asked = engine_design.asked_of(found, BOUNDS, 60, list(CAUSES))
     assert asked.task.bounds.time_unit == "min"
     assert between_samples(found.to_dict())["time_unit"] == "min"
+
+
+@pytest.mark.parametrize("unit", ["min", "µs", "shift"])
+def test_a_file_of_the_input_tells_the_unit_of_its_times(made, tmp_path, unit):
+    other = replace(made, bounds=replace(made.bounds, time_unit=unit))
+    path = other.to_csv(tmp_path / "u.csv")
+    assert (f"t [{unit}],voltage" in path.read_text()) == (unit != "shift")
+    read = engine.Series.read(path, y=["voltage"])
+    assert (read.time_unit, read.dt) == (unit, pytest.approx(made.dt))
 
 
 def test_what_is_written(made, tmp_path):
