@@ -1,5 +1,6 @@
 """What people do on the pages, in a real Chromium."""
 
+import json
 import re
 
 import httpx
@@ -805,6 +806,36 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_request_names_only_parameters_that_were_changed(visit, address):
+    page = visit("/?model=oscillator")
+    ready(page)
+    page.check('input[value="diagnose"]')
+    page.click("#as-request summary")
+    page.wait_for_selector("#request-text:not(:empty)")
+
+    def asked():
+        return json.loads(page.inner_text("#request-text").partition("\n")[2])["parameters"]
+
+    assert asked() == {}
+    page.fill('tr[data-name="omega"] .value', "2.5")
+    assert asked() == {"start": {"omega": 2.5}}
+    page.uncheck('tr[data-name="omega"] input[type=checkbox]')
+    assert "omega" not in asked()["free"]
+    page.check('input[value="simulate"]')
+    assert asked() == {"values": {"omega": 2.5}}
+    omega = engine.get_model("oscillator").theta()["omega"]
+    job = {"kind": "diagnose", "model": "oscillator", "parameters": {"start": {"omega": omega}}}
+    y = np.sin(0.1 * np.arange(60.0))
+    job["series"] = [{"y": y.tolist(), "u": y.tolist(), "dt": 0.1}]
+    sent = httpx.post(f"{address}/jobs", json=job).raise_for_status().json()["jobID"]
+    httpx.post(f"{address}/jobs/{sent}/stop")
+    page = visit(f"/?job={sent}")
+    ready(page)
+    page.click("#as-request summary")
+    page.wait_for_selector("#request-text:not(:empty)")
+    assert asked() == {"start": {"omega": omega}}  # as it was given, so as it is repeated
+
+
 def test_the_guide_is_there_without_a_network(visit):
     page = visit("/")
     ready(page)

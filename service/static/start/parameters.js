@@ -60,7 +60,10 @@ export class ParameterTable {
   fill(values, free) {
     for (const row of body.querySelectorAll("tr")) {
       const value = values[row.dataset.name];
-      if (value !== undefined) row.querySelector(".value").value = String(value);
+      if (value !== undefined) {
+        row.querySelector(".value").value = String(value);
+        row.dataset.given = ""; // an earlier job named it, so that one like it does too
+      }
       if (free !== undefined) row.querySelector('input[type="checkbox"]').checked = free === null || free.includes(row.dataset.name);
     }
     this.changed();
@@ -86,7 +89,8 @@ export class ParameterTable {
     return [...body.querySelectorAll("tr")].filter((row) => row.querySelector('input[type="checkbox"]').checked).map((row) => row.dataset.name);
   }
 
-  // {start, free} or {values}; what is wrong goes into errors.
+  // {start, free} or {values}, of which each holds what is not as the model has it: a start that is given is
+  // kept, where else one may be searched for. What is wrong goes into errors.
   request(errors) {
     const values = {};
     for (const row of body.querySelectorAll("tr")) {
@@ -94,12 +98,13 @@ export class ParameterTable {
       const member = this.estimating ? "start" : "values";
       if (text === "" || !Number.isFinite(Number(text))) {
         errors.push({ field: `parameters.${member}.${row.dataset.name}`, message: text ? `'${text}' is not a number` : "a number is needed" });
-      } else values[row.dataset.name] = Number(text);
+      } else if (text !== row.dataset.default || "given" in row.dataset) values[row.dataset.name] = Number(text);
     }
-    if (!this.estimating) return { values };
+    const changed = Object.keys(values).length > 0;
+    if (!this.estimating) return changed ? { values } : {};
     const free = this.free();
     if (!free.length && this.parameters.length) errors.push({ field: "parameters.free", message: "nothing is free; mark at least one parameter" });
-    return { start: values, free };
+    return { ...(changed && { start: values }), ...(free.length < this.parameters.length && { free }) };
   }
 }
 
