@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from sqlalchemy import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
@@ -13,10 +13,12 @@ from service.app import create_app
 from service.logs import configure
 from service.server import Server, server_config
 from service.settings import Settings
+from service.usage import told
 
 # How long a thread that works on a large body may go on while the event loop waits for its turn, which it
 # does several times for each answer; Python's own 5 ms add up where many ask.
 SWITCH_SECONDS = 0.0005
+WRONG_ARGUMENT = 2  # exit code
 
 
 def main(env: Mapping[str, str] | None = None) -> None:
@@ -40,5 +42,18 @@ def main(env: Mapping[str, str] | None = None) -> None:
         sys.exit(130)
 
 
+def command(arguments: Sequence[str]) -> None:
+    """Serve, or print the help that is asked for; an argument that is not known is refused."""
+    try:
+        asked = told(arguments)
+    except ValueError as error:
+        print(f"rbps: {error}", file=sys.stderr)
+        sys.exit(WRONG_ARGUMENT)
+    if asked is None:
+        main()
+    else:
+        print(asked)
+
+
 if __name__ == "__main__":
-    main()
+    command(sys.argv[1:])

@@ -222,7 +222,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         body = find_result(store, row) if reached is None else dumps(reached).encode()
         if points is not None:
             body = dumps(thin_results(json.loads(body), points)).encode()
-        return with_etag(http, body)
+        return with_etag(http, serializers.labelled(body, row))
 
     @api.post(
         "/jobs/{job_id}/stop",

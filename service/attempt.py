@@ -69,15 +69,14 @@ def run(store: Store, attempt: Attempt) -> None:
         if request is None:  # removed by its owner since the task was claimed
             _leave(attempt)
         job = load(json.loads(request))
-        progress = StoredProgress(store, attempt)
+        notes = job.request.notes
+        progress = StoredProgress(store, attempt, notes)
         kept = StoredParts(store, attempt)
         if kept:  # what they are is gone through before anything new is reached
             progress.reached(store.job(attempt.job_id))
         result = stages.run(job, attempt.task, progress, kept)
         progress.flush()
-        notes = job.request.notes
-        if notes:
-            result["notes"] = notes
+        result = noted(result, notes)
         message = " ".join([str(result.get("message", "")), *notes]).strip()
         written = store.finish(attempt, result, message)
         log.info(_ENDS[written], attempt.task, extra={"job": attempt.job_id})
@@ -87,11 +86,16 @@ def run(store: Store, attempt: Attempt) -> None:
         store.fail(attempt, _problem(error, attempt.job_id).document())
 
 
+def noted(result: dict[str, Any], notes: Sequence[str]) -> dict[str, Any]:
+    """A result with what is to be known of how its files were read."""
+    return {**result, "notes": list(notes)} if notes else result
+
+
 class StoredProgress:
     """computations.Progress on the store; a row is (theta..., log-likelihood, ess, seconds, collapsed)."""
 
-    def __init__(self, store: Store, attempt: Attempt) -> None:
-        self.store, self.attempt = store, attempt
+    def __init__(self, store: Store, attempt: Attempt, notes: Sequence[str] = ()) -> None:
+        self.store, self.attempt, self.notes = store, attempt, notes
         self.k, self._stage = 0, ""
         self._pending: dict[int, Array] = {}
         self._memory: dict[int, Array] = {}
@@ -134,7 +138,7 @@ class StoredProgress:
 
     def estimated(self, document: dict[str, Any]) -> None:
         """The result so far, for requests that come meanwhile."""
-        if not self.store.show(self.attempt, document):
+        if not self.store.show(self.attempt, noted(document, self.notes)):
             _leave(self.attempt)
 
     def left(self, task: int) -> Any:

@@ -18,6 +18,7 @@ from service.openapi import JobId, problem_answers
 from service.pages import prefers_html
 from service.problems import Problem, invalid
 from service.responses import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
+from service.serializers import labels
 from service.stages import roles
 from service.store import Store
 from service.strict_json import finite
@@ -105,7 +106,9 @@ def _tasks(row: Any, names: list[str], store: Store) -> list[TaskOut]:
 
 def _file(row: Any, document: dict[str, Any]) -> Response:
     """The report as a file to keep. Raises Problem where there is nothing to report."""
-    about = {"job": row.id, "kind": row.kind, "model": row.model, "finished": _time(row.finished)}
+    told = labels(row)
+    about = {"name": told["name"], **{key: ", ".join(told[key]) for key in ("tags", "data")}}
+    about |= {"job": row.id, "kind": row.kind, "model": row.model, "finished": _time(row.finished)}
     try:
         return report_file(report_html(document, about), f"{row.kind}-{row.id[:8]}.html")
     except OptionError as error:

@@ -92,4 +92,5 @@ def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
         "outcome": "stopped",
         "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations{why}.",
         "trace": serializers.trace(list(job.model.parameter_names), ks, rows).model_dump(),
+        **({"notes": job.request.notes} if job.request.notes else {}),
     }

@@ -334,6 +334,11 @@ class ExaminationOut(_Out):
 class Results(_Out):
     """What a job found; which members there are depends on its kind."""
 
+    name: str = ""
+    """of the job, as its `tags`; `data` are the names of the files that it is about"""
+    tags: list[str] = []
+    data: list[str] = []
+    created: str = ""
     model: dict[str, Any] | None = None
     """name, equations, states, inputs and outputs with units"""
     time_unit: str | None = None

@@ -16,10 +16,22 @@ from engine.statespace.model import Array, MixedModel
 from service.db_schema import ITERATIONS
 from service.responses import JobStatus, Link, ModelOut, Trace
 from service.schemas import ModelReference
-from service.strict_json import finite
+from service.strict_json import dumps, finite
 
 AFTER_ITERATIONS = 70  # per cent
 CHECK, EXAMPLE = "check", "example"  # what is kept with a model of its document
+
+
+def labels(row: Any) -> dict[str, Any]:
+    """What tells a job from others: its name, its tags, its files of data."""
+    lines = {name: getattr(row, name).split("\n")[1:-1] for name in ("tags", "data")}
+    return {"name": row.name, **lines}
+
+
+def labelled(result: bytes, row: Any) -> bytes:
+    """The text of a result with what tells it from others, as the shell writes it; it may be long."""
+    told = dumps({**labels(row), "created": _time(row.created)}).encode()
+    return told[:-1] + b"," + result.lstrip()[1:]
 
 
 def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
@@ -36,9 +48,7 @@ def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
     found = json.loads(row.found or "{}")
     return JobStatus(
         jobID=row.id,
-        name=row.name,
-        tags=row.tags.split("\n")[1:-1],
-        data=row.data.split("\n")[1:-1],
+        **labels(row),
         kind=row.kind,
         model=row.model,
         status=row.status,

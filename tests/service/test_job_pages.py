@@ -216,6 +216,49 @@ def test_a_failed_job_says_what_to_do(client, estimation, ended):
     ],
     ids=lambda request: request["kind"],
 )
+def test_what_is_said_of_a_result_and_of_its_files_is_on_page_and_in_report(
+    client, ended, request_
+):
+    labels = {"name": "a run", "tags": ["cold", "rig 2"], "data": ["run7.csv"]}
+    asked = {
+        "model": "linear-2",
+        **labels,
+        "notes": ["run7.csv: a step of 1 s was assumed"],
+        **request_,
+    }
+    if request_["kind"] == "smooth":
+        y = [[100.0 * (k % 7 > 3)] for k in range(60)]
+        asked |= {"series": [{"y": y}], "options": {"particles": 2}}
+    url = client.post("/jobs", json=asked).headers["location"]
+    job = ended(client, url)
+    results = client.get(f"{url}/results").json()
+    said = [results["message"]] if results.get("message") else []
+    if request_["kind"] == "smooth":
+        assert "Use more particles" in said[0]
+    page = client.get(f"{url}/report").json()["summary"]
+    report = client.get(f"{url}/report", headers={"Accept": "text/html"}).text
+    for sentence in (*said, *asked["notes"]):
+        assert sentence in page
+        assert sentence in report
+    for told in ("a run", "cold, rig 2", "run7.csv"):
+        assert f"<dd>{told}</dd>" in report
+    assert {key: results[key] for key in labels} == labels
+    assert results["created"] == job["created"]
+    assert client.get(f"{url}/results?points=3").json()["data"] == ["run7.csv"]
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"kind": "simulate", "options": {"samples": 30}},
+        {
+            "kind": "smooth",
+            "options": {"particles": 10},
+            "series": [{"y": [[float(k % 3)] for k in range(20)]}],
+        },
+    ],
+    ids=lambda request: request["kind"],
+)
 def test_simulations_and_states_have_reports(client, ended, request_):
     url = client.post("/jobs", json={"model": "linear-2"} | request_).headers["location"]
     assert ended(client, url)["status"] == "successful"

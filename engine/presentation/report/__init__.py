@@ -113,8 +113,9 @@ def make_report(document: Document, draw: Drawer = svg_element) -> Report:
         if "notes" in document:  # of one that has ended
             document = {**document, "notes": [*read, *document["notes"]]}
     if document.get("early"):
+        read = document.get("notes") or []
         document = document["early"]
-        return early_report(document, clocked(draw, document["time_unit"]))
+        return early_report(document, clocked(draw, document["time_unit"]), read)
     draw = clocked(draw, document.get("time_unit"))
     if document.get("verdict"):
         if "channels" not in document:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from engine.presentation.report.comparison import against_data, fits, sentences
-from engine.presentation.report.html import join, table, table_of, tag
+from engine.presentation.report.html import bullets, join, table, table_of, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -17,8 +19,8 @@ from engine.presentation.report.parts import (
 from engine.words import number, probability
 
 
-def early_report(d: Document, draw: Drawer) -> Report:
-    """The whole report."""
+def early_report(d: Document, draw: Drawer, read: Sequence[str] = ()) -> Report:
+    """The whole report; ``read`` are sentences on how the data were."""
     symptoms, said = (
         d["symptoms"],
         "What is known so far, before the search for the cause has ended.",
@@ -32,6 +34,7 @@ def early_report(d: Document, draw: Drawer) -> Report:
             *section("wrong", "What is wrong", wrong, fits(symptoms)),
             *section("screen", "First screen of effects", *_screen(d["screen"])),
             *section("estimate", "The model as it is", _parameters(d)),
+            *section("notes", "Notes", bullets(map(prose, read))),
         ),
     )
 

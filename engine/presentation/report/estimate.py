@@ -64,14 +64,22 @@ def states_report(document: Document, draw: Drawer) -> Report:
     """Smoothed states at given parameters."""
     found = document.get("log_likelihood") or {}
     items = [("log-likelihood", _uncertain(found))] if found else []
-    return Report("Smoothed states", facts(items), tuple(_states(document, draw)))
+    summary = join([*_said(document), facts(items)])
+    return Report("Smoothed states", summary, tuple(_states(document, draw)))
 
 
 def simulation_report(document: Document, draw: Drawer) -> Report:
     """Simulated outputs and states, outputs beside what was measured."""
     values = document.get("parameters") or {}
     shown = facts((k, number(v, 6)) for k, v in values.items())
-    return Report("Simulation", shown, tuple(_simulated(document, draw)))
+    summary = join([*_said(document), shown])
+    return Report("Simulation", summary, tuple(_simulated(document, draw)))
+
+
+def _said(document: Document) -> list[Html]:
+    """The message of a result that has no outcome, and how the data were read."""
+    message = document.get("message")
+    return [tag("p", message, class_="said") if message else Html(""), _warned(document)]
 
 
 def _simulated(document: Document, draw: Drawer) -> list[Section]:
