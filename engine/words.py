@@ -61,11 +61,15 @@ def tidy(unit: str) -> str:
     return "" if text in ("1", "(1)") else text
 
 
+def factor(unit: str) -> bool:
+    """Whether a unit begins with a number that multiplies, as ``1e8 m^3``; that of ``1/rad`` does not."""
+    return bool(re.match(r"[\d.]+(?:e[+-]?\d+|(?=\s*[*\s]))", tidy(unit)))
+
+
 def with_unit(value: float | None, unit: str, digits: int = 3) -> str:
     """A number and its unit; a pure number has none."""
-    text = tidy(unit)
-    times = "x " if re.match(r"\d+e\d", text) else ""
-    return f"{number(value, digits)} {times}{text}".strip()
+    times = "x " if factor(unit) else ""
+    return f"{number(value, digits)} {times}{tidy(unit)}".strip()
 
 
 def moment(t: float, step: float | None = None, unit: str = "") -> str:

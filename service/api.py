@@ -20,6 +20,7 @@ from service.downsample import keep, thin_results
 from service.etags import with_etag
 from service.examples import EXAMPLES
 from service.file_names import as_typed
+from service.going_on import check_resumed
 from service.listing import ListQuery
 from service.lookup import find_job, find_result, has_estimates, parameter_names, stopped_estimate
 from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
@@ -245,15 +246,13 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
 
     @api.post(
         "/jobs/{job_id}/resume",
-        summary="Go on with a failed or stopped job from its checkpoint",
+        summary="Go on with a failed or stopped job from its checkpoint, or with more iterations",
         responses=unread | problem_answers(404, 409, 429),
     )
     def resume(caller: Caller, job_id: JobId, limit: ResumeIn | None = None) -> JobStatus:
-        row = find(job_id, caller)
-        if row.status == "successful" or row.removed:
-            why = "its data are gone" if row.removed else "it is successful"
-            raise Problem(409, "nothing-to-resume", f"job '{job_id}' cannot go on: {why}")
-        row = store.resume(job_id, limits(caller), None if limit is None else limit.run_seconds)
+        asked = limit or ResumeIn()
+        check_resumed(find(job_id, caller), asked, settings.max_iterations)
+        row = store.resume(job_id, limits(caller), asked.run_seconds, asked.iterations)
         supervisor.wake()
         return serializers.job_status(row)
 

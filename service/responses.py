@@ -72,6 +72,8 @@ class JobStatus(_Out):
     log_likelihood: float | None
     outcome: str | None
     """of a successful job: the verdict of a diagnosis, how an estimation ended"""
+    cause: str | None = None
+    """of a failed job: the kind of its problem, such as `run-time-exceeded`"""
     causes: list[str]
     """the effects that a diagnosis found"""
     values: list[KeyValue]

@@ -359,9 +359,12 @@ class LabelsIn(_Strict):
 
 
 class ResumeIn(_Strict):
-    """How long a job may take from now on; null leaves its limit as it was."""
+    """How long a job may take from now on, and how many iterations it may make; null leaves either."""
 
     run_seconds: RunSeconds = None
+    iterations: Annotated[int, Field(ge=1)] | None = None
+    """of an estimation from one start without a bootstrap, in all: more than it has made. With them one
+    that is successful and used its iterations up goes on, too"""
 
 
 def _tests(value: Any) -> Any:

@@ -14,6 +14,7 @@ from engine.models.registry import source_of
 from engine.presentation.model_check import model_check
 from engine.statespace.model import Array, MixedModel
 from service.db_schema import ITERATIONS
+from service.going_on import open_ended
 from service.responses import JobStatus, Link, ModelOut, Trace
 from service.schemas import ModelReference
 from service.strict_json import dumps, finite
@@ -43,7 +44,7 @@ def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
         links.append(Link(href=f"{here}/report", rel="report"))
     if row.status in ("accepted", "running"):
         links.append(Link(href=f"{here}/stop", rel="stop"))
-    if row.status in ("failed", "dismissed") and not row.removed:
+    if not row.removed and (row.status in ("failed", "dismissed") or open_ended(row)):
         links.append(Link(href=f"{here}/resume", rel="resume"))
     found = json.loads(row.found or "{}")
     return JobStatus(
@@ -65,6 +66,7 @@ def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
         estimate=row.estimate and json.loads(row.estimate),
         log_likelihood=row.log_likelihood,
         outcome=row.outcome,
+        cause=row.cause,
         causes=found.get("causes", []),
         values=found.get("values", []),
         links=links,

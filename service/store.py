@@ -10,7 +10,7 @@ write of an attempt that is no longer the task's own changes nothing and returns
         |                  |--fail--------> failed
         |                  |--lost, expire-> queued again; too often at one place: failed
         +------stop--------+--------------> dismissed
-        +<----resume---- failed, dismissed
+        +<----resume---- failed, dismissed; successful, with more iterations
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from service.attempts import Attempts
 from service.db_schema import documents, in_lines, iterations, jobs, pulse, tasks
 from service.problems import Problem
 from service.strict_json import dumps
-from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
+from service.transitions import KEPT, add, add_tasks, end, forget, iterate_on, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
 # how many jobs of an owner, or of all (None), may wait or run
@@ -330,17 +330,25 @@ class Store(Attempts):
         return row
 
     def resume(
-        self, job_id: str, most: Most = (), run_seconds: float | None = None
+        self,
+        job_id: str,
+        most: Most = (),
+        run_seconds: float | None = None,
+        iterations: int | None = None,
     ) -> Row[Any] | None:
         """Put a failed or dismissed job back into the queue, if its data are still there; the job.
 
-        It may take as long again as it might before, or ``run_seconds`` where they are given.
-        Raises Problem 429 beyond the limits ``most``.
+        It may take as long again as it might before, or ``run_seconds`` where they are given. With more
+        ``iterations`` a successful one goes on, too, see ``going_on``. Raises Problem 429 beyond the limits
+        ``most``.
         """
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
-            if job is not None and job.status in ("failed", "dismissed") and not job.removed:
+            can = ("failed", "dismissed", *(("successful",) if iterations else ()))
+            if job is not None and job.status in can and not job.removed:
                 _check_room(sql, most)
+                if iterations:
+                    iterate_on(sql, job.seq, iterations)
                 resume(sql, job.seq, **({"run_seconds": run_seconds} if run_seconds else {}))
             return self._locked(sql, job_id)
 

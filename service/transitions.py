@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 import zlib
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
 
 from service.db_schema import documents, iterations, jobs, tasks
-from service.problems import Problem
+from service.problems import Problem, invalid
 from service.strict_json import dumps
 
 PRELIMINARY = "preliminary"  # name of the result so far: before standard errors, before causes
@@ -154,6 +155,24 @@ def resume(sql: Connection, seq: int, **values: Any) -> None:
     message = "resumed; continues where it was"
     anew = {"stage": "", "stage_share": None, "finished": None, "problem": None, "cause": None}
     change_job(sql, seq, status="accepted", updated=time.time(), message=message, **anew, **values)
+
+
+def iterate_on(sql: Connection, seq: int, iterations: int) -> None:
+    """Let a job's only task make more iterations in all; a result that there is becomes the one so far."""
+    of_job = documents.c.job == seq
+    asked = and_(of_job, documents.c.name == "request")
+    request = json.loads(
+        zlib.decompress(sql.execute(select(documents.c.body).where(asked)).scalar_one())
+    )
+    if request["options"]["method"] == "simulation":
+        raise invalid("iterations", "the fit of the simulation counts none; leave it out")
+    request["options"]["iterations"] = iterations
+    sql.execute(delete(documents).where(asked))
+    put(sql, seq, "request", dumps(request))
+    result = and_(of_job, documents.c.name == "result")
+    sql.execute(update(documents).where(result).values(name=PRELIMINARY))
+    change_tasks(sql, and_(tasks.c.job == seq, tasks.c.state == "done"), state="stopped")
+    change_job(sql, seq, iterations=iterations, outcome=None)
 
 
 def forget(sql: Connection, seq: int, **values: Any) -> None:

@@ -63,6 +63,7 @@ function show(job) {
   const going = !ENDED.includes(job.status);
   by("stop").hidden = !going;
   by("resume").hidden = !resumable(job);
+  offerMore(job);
   by("repeat").hidden = job.kind === "design" || (job.status === "dismissed" && !resumable(job));
   by("repeat").href = `/?job=${id}`;
   by("progress").hidden = !going;
@@ -75,6 +76,18 @@ function show(job) {
   }
   if (said && said !== job.status) announce(`The job is ${job.status}.`);
   said = job.status;
+}
+
+// What a job had too little of can be more when it goes on: iterations, or seconds.
+function offerMore(job) {
+  const iterations = job.status === "successful";
+  const wanted = resumable(job) && (iterations || job.cause === "run-time-exceeded");
+  if (by("more").hidden !== wanted) return; // as before, perhaps with what was typed
+  by("more").hidden = !wanted;
+  by("more-of").textContent = iterations ? "Iterations in all" : "Seconds, if not as many again";
+  by("more-value").name = iterations ? "iterations" : "run_seconds";
+  by("more-value").step = iterations ? 1 : "any";
+  by("more-value").value = iterations ? 2 * job.iterations : "";
 }
 
 function resumable(job) {
@@ -224,6 +237,7 @@ onClick("stop", async () => {
 });
 
 onClick("resume", async () => {
-  await post(`${here}/resume`);
+  const { name, value } = by("more-value");
+  await post(`${here}/resume`, by("more").hidden || value === "" ? undefined : { [name]: Number(value) });
   location.reload();
 });

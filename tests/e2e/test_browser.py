@@ -806,6 +806,38 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_job_goes_on_with_more_iterations(visit, address):
+    y = engine.simulate(engine.get_model("linear-2"), None, 40, np.random.default_rng(5)).y
+    request = {
+        "kind": "estimate",
+        "model": "linear-2",
+        "series": [{"y": y.tolist()}],
+        "options": {
+            "method": "rbps-em",
+            "particles": 10,
+            "iterations": 1,
+            "standard_errors": False,
+        },
+    }
+    job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+    page = visit(f"/jobs/{job}")
+    page.wait_for_selector("#more:visible")
+    assert page.input_value("#more-value") == "2"
+    page.fill("#more-value", "3")
+    page.click("#resume")
+    eventually(page, lambda: httpx.get(f"{address}/jobs/{job}").json()["iteration"] == 3)
+    visit.expect("422")  # its results so far, of which there are none
+    request |= {"run_seconds": 0.3}
+    request["options"] |= {"iterations": 10_000, "particles": 300}
+    job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+    page = visit(f"/jobs/{job}")
+    page.wait_for_selector("#status.failed")
+    page.wait_for_selector("#more:visible")
+    page.fill("#more-value", "0.7")
+    page.click("#resume")
+    eventually(page, lambda: "0.7 s" in httpx.get(f"{address}/jobs/{job}").json()["message"])
+
+
 def test_a_request_names_only_parameters_that_were_changed(visit, address):
     page = visit("/?model=oscillator")
     ready(page)

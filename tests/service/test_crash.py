@@ -40,7 +40,7 @@ def expected(client, request_, ended, known):
 
 
 def without_seconds(results):
-    del results["trace"]["seconds"]
+    del results["trace"]["seconds"], results["created"]
     return results
 
 

@@ -12,7 +12,7 @@ from engine.presentation.cause_sentences import NOTHING_ADDED
 from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Picture, Ranking
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.svg import svg_element
-from engine.words import digits, estimate, number, probability, tidy
+from engine.words import digits, estimate, factor, number, probability, tidy
 
 Document = Mapping[str, Any]
 
@@ -142,8 +142,8 @@ def with_time(cause: Document) -> str:
 
 
 def _times(unit: str) -> str:
-    """What stands between a number and a unit that begins with a number itself."""
-    return "× " if re.match(r"\d", tidy(unit)) else ""
+    """What stands between a number and a unit that has a factor itself."""
+    return "× " if factor(unit) else ""
 
 
 def facts(items: Iterable[tuple[str, object]]) -> Html:

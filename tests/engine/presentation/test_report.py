@@ -350,6 +350,9 @@ def test_units_as_they_are_printed():
     assert pretty("N*s/m") == "N s/m"
     assert measured(256.4, "1e8 m^3") == "256 × 10⁸ m³"
     assert plus_minus(0.5234, 0.0312, "N") == "0.5234 ± 0.031 N"
+    assert plus_minus(0.3874, 0.03, "1/rad") == "0.3874 ± 0.03 1/rad"
+    assert measured(2.0, "1/s") == "2 1/s"
+    assert measured(2.0, "100 m") == "2 × 100 m"
     assert plus_minus(256.4, 12.0, "1e8 m^3") == "(256.4 ± 12) × 10⁸ m³"
     assert plus_minus(2.0, None, "1") == "2"
 
