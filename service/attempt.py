@@ -34,6 +34,7 @@ from service.processes import STORE_FAILED, settle
 from service.store import Store
 from service.transitions import Attempt
 from service.validation import load
+from service.wording import plain_throughout
 
 log = logging.getLogger("service")
 
@@ -87,8 +88,9 @@ def run(store: Store, attempt: Attempt) -> None:
 
 
 def noted(result: dict[str, Any], notes: Sequence[str]) -> dict[str, Any]:
-    """A result with what is to be known of how its files were read."""
-    return {**result, "notes": list(notes)} if notes else result
+    """A result as its reader is told it, with what is to be known of how its files were read."""
+    told: dict[str, Any] = plain_throughout(result)
+    return {**told, "notes": list(notes)} if notes else told
 
 
 class StoredProgress:

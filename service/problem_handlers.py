@@ -6,7 +6,7 @@ import logging
 import re
 from collections.abc import Sequence
 from http import HTTPStatus
-from typing import get_args
+from typing import Any, get_args
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -38,7 +38,7 @@ def _from_validation(error: RequestValidationError) -> Problem:
             location.append("kind")
         if location[:1] == ["body"] and len(location) > 1 and item.get("type") != "json_invalid":
             location = [part for i, part in enumerate(location) if i != 1 or part not in _KINDS]
-        message = re.sub(r"^Value error, ", "", str(item["msg"]))
+        message = _said(item, location)
         entry = {"field": field_path(location), "message": message}
         context = item.get("ctx", {})
         entry |= {key: context[key] for key in ("row", "channel") if key in context}
@@ -47,6 +47,18 @@ def _from_validation(error: RequestValidationError) -> Problem:
                        for e in errors[:3])  # fmt: skip
     broken = any(item.get("type") == "json_invalid" for item in error.errors())
     return Problem(400 if broken else 422, "not-json" if broken else "validation", detail, errors)
+
+
+def _said(item: Any, location: Sequence[str | int]) -> str:
+    """What is wrong in words of ours where the checker's help nobody."""
+    kind, last = str(item.get("type", "")), location[-1] if location else ""
+    if kind == "extra_forbidden":
+        if last == "file":
+            return "a file is sent beside the request with POST /jobs/upload; here are its numbers needed"
+        return "there is no such member"
+    if kind.startswith("model_") and last == "model":
+        return "the name of a model is needed, or an object with its name"
+    return re.sub(r"^Value error, ", "", str(item["msg"]))
 
 
 def _methods(app: FastAPI, scope: Scope) -> set[str]:

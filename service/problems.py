@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from service.wording import plain, plain_throughout
+
 if TYPE_CHECKING:
     from starlette.responses import JSONResponse
 
@@ -48,8 +50,9 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
         headers: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(detail)
-        self.status, self.kind, self.detail = status, kind, detail
-        self.errors, self.headers = list(errors), dict(headers or {})
+        self.status, self.kind, self.detail = status, kind, plain(detail)
+        self.errors: list[dict[str, Any]] = plain_throughout(list(errors))
+        self.headers = dict(headers or {})
         if retry_after is not None:
             self.headers["Retry-After"] = str(max(1, round(retry_after)))
 

@@ -210,6 +210,14 @@ class DiagnoseParameters(_Strict):
     free: Names | None = Field(default=None, min_length=1)
     """parameters to estimate; null means all"""
 
+    @field_validator("free")
+    @classmethod
+    def _once(cls, free: list[str] | None) -> list[str] | None:
+        twice = next((name for name in free or () if (free or []).count(name) > 1), None)
+        if twice is not None:
+            raise PydanticCustomError("twice", "'{name}' is named twice", {"name": twice})
+        return free
+
 
 class EstimateParameters(DiagnoseParameters):
     """Where the estimation starts and what it may change."""

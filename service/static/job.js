@@ -144,7 +144,8 @@ async function end(job) {
   if (job.status === "failed") return failed(job);
   if (job.status === "dismissed") {
     by("problem").hidden = false;
-    by("problem").textContent = `This job was ${job.message || "stopped"}.`;
+    const told = job.message || "stopped";
+    by("problem").textContent = told.startsWith("stopped") ? `This job was ${told}.` : `${told[0].toUpperCase()}${told.slice(1)}.`;
     if (hasResults(job)) return showResults(job);
     if (resumable(job)) await showHowFar(job);
     return undefined;

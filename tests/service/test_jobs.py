@@ -9,7 +9,7 @@ import pytest
 FIELDS = {
     "jobID", "kind", "model", "status", "progress", "iteration", "iterations", "created", "started",
     "updated", "finished", "stage", "estimated_end", "message", "estimate", "log_likelihood", "links",
-    "name", "tags", "data", "outcome", "causes", "values",
+    "name", "tags", "data", "outcome", "cause", "causes", "values",
 }  # fmt: skip
 
 

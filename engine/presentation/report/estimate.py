@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import chain
 from typing import Any
 
@@ -112,9 +113,9 @@ def _outcome(document: Document) -> Html:
     outcome = (document.get("outcome") or "").replace("-", " ")
     tone = "good" if outcome == "converged" else "warn"
     message = document.get("message") or ""
-    first, _, rest = message.partition(": ")
-    if first.lower() == outcome:  # the badge says it already
-        message = rest[:1].upper() + rest[1:]
+    if outcome and (said := re.match(rf"{re.escape(outcome)}[:.]\s*", message, re.IGNORECASE)):
+        message = message[said.end() :]  # the badge says it already
+        message = message[:1].upper() + message[1:]
     word = tag("span", outcome or "done", class_=f"verdict {tone}")
     return tag("p", word, " ", message, class_="said")
 

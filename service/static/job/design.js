@@ -38,9 +38,13 @@ export function offer(diagnosis) {
   });
 }
 
-// "1:2, 3:4" as [[1, 2], [3, 4]]; what is no number is refused by the service, which names the field.
-function bands(text) {
-  return text.split(",").map((band) => band.split(":").map((end) => (end.trim() === "" ? null : Number(end))));
+// "1:2, 3:4" as [[1, 2], [3, 4]]; what is none is told with the field's name.
+function bands(text, field) {
+  return text.split(",").map((band) => {
+    const ends = band.split(":").map((end) => (end.trim() === "" ? NaN : Number(end)));
+    if (ends.length === 2 && ends.every(Number.isFinite)) return ends;
+    throw new Problem(422, { detail: `${field}: '${band.trim()}' is not from:to; commas part bands, and decimals have a point` });
+  });
 }
 
 function rows(id) {
@@ -48,7 +52,7 @@ function rows(id) {
   for (const box of by(id).querySelectorAll("input")) {
     const own = (found[box.dataset.name] ??= {});
     const text = box.value.trim();
-    if (text !== "") own[box.dataset.what] = box.type === "text" ? bands(text) : Number(text);
+    if (text !== "") own[box.dataset.what] = box.type === "text" ? bands(text, box.getAttribute("aria-label")) : Number(text);
   }
   return found;
 }
