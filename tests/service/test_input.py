@@ -22,7 +22,7 @@ BAD = {
     "no kind": (change(kind=None), "kind", None, "kind"),
     "unknown kind": (change(kind="guess"), "kind", None, "diagnose"),
     "kind missing": ({"model": "tanks"}, "kind", None, "kind"),
-    "unknown member": (change(modle="tanks"), "modle", None, "Extra"),
+    "unknown member": (change(modle="tanks"), "modle", None, "no such member"),
     "unknown model": (change(model="tank"), "model", None, "tanks"),
     "effects": (change(model={"name": "tanks", "with": ["offset:y"]}), "model.with", None, "channels"),
     "no series": (change(series=[]), "series", None, "at least 1"),
