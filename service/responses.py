@@ -150,7 +150,7 @@ class ComparisonOut(_Out):
     methods: list[str | None]
     """`simulation` for least squares on the simulation, else null"""
     parameters: list[dict[str, Any]]
-    """name, unit, values, standard_errors, held, difference, in_errors"""
+    """name, unit, values, standard_errors, held, silent (without influence), difference, in_errors"""
     free_parameters: list[int | None]
     same_data: bool | None
     """null: not known from the results"""

@@ -133,13 +133,17 @@ def _parameters(both: Sequence[Document]) -> Iterator[dict[str, Any]]:
             "values": [one and one["value"] for one in pair],
             "standard_errors": [one and one.get("standard_error") for one in pair],
             "held": [bool(one and one.get("fixed")) for one in pair],
+            "silent": [bool(one and one.get("silent")) for one in pair],
             "difference": None,
             "in_errors": None,
         }
         if None not in row["values"]:
             row["difference"] = row["values"][1] - row["values"][0]
             errors = [e for e in row["standard_errors"] if e is not None and e > 0.0]
-            row["in_errors"] = row["difference"] / max(errors) if errors else None
+            compared = errors and not any(
+                row["silent"]
+            )  # a start that nothing moved is no estimate
+            row["in_errors"] = row["difference"] / max(errors) if compared else None
         yield row
 
 

@@ -270,7 +270,7 @@ def fit_simulation(
         parts = [_ended(best, stopped), RUNS_AWAY, faults, clock]
     else:
         parts = [
-            _ended(best, stopped),
+            _ended(best, stopped) if estimated else NOTHING,
             _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
             ties_in_words(estimated, found.directions),
             model.held_in_words(theta, estimated),
@@ -390,6 +390,9 @@ def _run_away(runs: Sequence[FreeRun]) -> bool:
         if moved > 0.0 and not np.sqrt(np.mean(off[seen] ** 2)) <= AWAY * moved:
             return True
     return False
+
+
+NOTHING = "Nothing was estimated: no free parameter has an influence on it."
 
 
 def _ended(best: OptimizeResult, stopped: int) -> str:

@@ -127,13 +127,19 @@ def comparison_notes(c: Document, names: Sequence[str]) -> list[str]:
     return out
 
 
+def _value(value: float, error: float | None, held: bool, silent: bool) -> str:
+    if silent:
+        return f"{number(value, 4)}, no influence"
+    return "held at " * held + plus_minus(value, error)
+
+
 def _parameters(c: Document, names: Sequence[str]) -> Html:
     rows = []
     for row in c["parameters"]:
         cells = [
-            "" if value is None else "held at " * held + plus_minus(value, error)
-            for value, error, held in zip(
-                row["values"], row["standard_errors"], row["held"], strict=True
+            "" if value is None else _value(value, error, held, silent)
+            for value, error, held, silent in zip(
+                row["values"], row["standard_errors"], row["held"], row["silent"], strict=True
             )
         ]
         difference = "" if row["difference"] is None else number(row["difference"], 3)
