@@ -60,9 +60,13 @@ def _rows(c: dict[str, Any], names: Sequence[str]) -> Iterator[tuple[str, ...]]:
     yield "outcome", *(one or "" for one in c["outcome"])
     for row in c["parameters"]:
         cells = [
-            "" if value is None else _estimate(value, error, held)
-            for value, error, held in zip(
-                row["values"], row["standard_errors"], row["held"], strict=True
+            ""
+            if value is None
+            else f"{words.number(value, 4)}, no influence"
+            if silent
+            else _estimate(value, error, held)
+            for value, error, held, silent in zip(
+                row["values"], row["standard_errors"], row["held"], row["silent"], strict=True
             )
         ]
         difference = "" if row["difference"] is None else words.number(row["difference"], 3)
