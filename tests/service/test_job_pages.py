@@ -204,7 +204,7 @@ def test_a_failed_job_says_what_to_do(client, estimation, ended):
         assert "allow more time" in answer.json()["advice"]
 
 
-@pytest.mark.parametrize(
+simulated_or_smoothed = pytest.mark.parametrize(
     "request_",
     [
         {"kind": "simulate", "options": {"samples": 30}},
@@ -216,6 +216,9 @@ def test_a_failed_job_says_what_to_do(client, estimation, ended):
     ],
     ids=lambda request: request["kind"],
 )
+
+
+@simulated_or_smoothed
 def test_what_is_said_of_a_result_and_of_its_files_is_on_page_and_in_report(
     client, ended, request_
 ):
@@ -247,18 +250,7 @@ def test_what_is_said_of_a_result_and_of_its_files_is_on_page_and_in_report(
     assert client.get(f"{url}/results?points=3").json()["data"] == ["run7.csv"]
 
 
-@pytest.mark.parametrize(
-    "request_",
-    [
-        {"kind": "simulate", "options": {"samples": 30}},
-        {
-            "kind": "smooth",
-            "options": {"particles": 10},
-            "series": [{"y": [[float(k % 3)] for k in range(20)]}],
-        },
-    ],
-    ids=lambda request: request["kind"],
-)
+@simulated_or_smoothed
 def test_simulations_and_states_have_reports(client, ended, request_):
     url = client.post("/jobs", json={"model": "linear-2"} | request_).headers["location"]
     assert ended(client, url)["status"] == "successful"
