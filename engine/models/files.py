@@ -21,6 +21,7 @@ from engine.statespace.model import MixedModel
 _neighbours: dict[
     Path, set[str]
 ] = {}  # names of modules that files of a folder have imported from it
+_running: set[Path] = set()  # files that are being imported
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,11 @@ def read_models(path: str | Path) -> ModelFile:
 
 
 def _imported(path: Path) -> ModuleType:
+    if path in _running:  # else without end
+        raise ModelError(
+            f"{path}: the file asks for its own models while it is imported, as engine.load does; put what "
+            'computes under: if __name__ == "__main__":'
+        )
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     if str(path.parent) not in sys.path:
@@ -151,6 +157,7 @@ def _imported(path: Path) -> ModuleType:
     own = sys.modules.get(path.stem)
     if own is None or getattr(own, "__file__", None) == str(path):  # never another's module
         sys.modules[path.stem] = module
+    _running.add(path)
     try:
         # not by its loader, whose __pycache__ takes two versions of one second for the same
         exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
@@ -160,6 +167,8 @@ def _imported(path: Path) -> ModuleType:
         raise ModelError(
             f"{path}: {type(error).__name__}: {error}{_line_in(error, path)}"
         ) from error
+    finally:
+        _running.discard(path)
     return module
 
 

@@ -148,3 +148,12 @@ def test_what_the_check_says(tmp_path):
     assert model_check(model)[0].startswith(
         "Cannot be used: model 'wrong', dynamics: Q has the negative"
     )
+
+
+def test_a_file_that_reads_itself_is_told_how_not_to(tmp_path):
+    """As a script does that loads a saved estimate of its own model; once it went on without end."""
+    path = tmp_path / "script.py"
+    path.write_text(f"import engine\nengine.model_from({str(path)!r})\n")
+    with pytest.raises(ModelError, match=r"while it is imported.*__main__"):
+        model_from(str(path))
+    assert model_from(str(write(tmp_path, "script"))).name == "script"  # and can be read after that
