@@ -165,6 +165,9 @@ def test_uploads_compute_what_json_does(client, ended, data):
         assert answer.status_code == 201, answer.text
         assert ended(client, answer.headers["location"])["status"] == "successful"
         found.append(client.get(f"{answer.headers['location']}/results").json())
+    assert [one.pop("data") for one in found] == [[], ["a.csv"], ["b.npz"], ["c.mat"]]
+    for one in found:
+        one.pop("created")
     assert found[1] == found[2] == found[3] == found[0]
 
 

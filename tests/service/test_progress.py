@@ -19,6 +19,7 @@ ROW = {
     "updated": 110.0, "finished": None, "iteration": 40, "iterations": 100, "message": "", "estimate": None,
     "log_likelihood": None, "removed": 0, "stages": "[1]", "stage": "iterations", "stage_share": None,
     "stage_begun": 30.0, "stage_from": 0.0, "name": "", "tags": "", "data": "", "outcome": None, "found": None,
+    "cause": None,
 }  # fmt: skip
 
 
