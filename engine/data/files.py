@@ -78,10 +78,11 @@ def read_series(
         taken = {*_channels(table, y, "y")[1], *_channels(table, u, "u")[1]}
         if not candidates(table, taken):
             column, why = like_times(table, taken)
-            said = f"no column of times: a step of 1 {series.time_unit} is assumed"
-            table.notes += [f"{said}; as '{column}' {why}, give t='{column}', or dt."] * bool(
-                column
-            )
+            if column:
+                table.notes.append(
+                    f"no column of times: a step of 1 {series.time_unit} is assumed; as '{column}' {why}, "
+                    f"give t='{column}', or dt."
+                )
     for note in table.notes:
         warnings.warn(f"{table.file}: {note}", ReadingWarning, stacklevel=2)
     return series

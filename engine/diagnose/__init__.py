@@ -117,7 +117,9 @@ def diagnose(  # noqa: PLR0913
     series : Series or sequence of Series
         The data: y (T, ny) with NaN where missing, u (T, nu), times. Several records are searched together,
         each with a first state of its own. The likelihood takes those that are sampled like the longest and
-        begin where the model says, the free run all. The page shows the longest.
+        begin where the model says, the free run all. The page shows the longest. Where their clocks overlap
+        and the model reads none, they are taken in turn (:func:`engine.in_turn`), and a note says so if what
+        is found comes with time.
     theta : Theta, mapping, array or None
         Start values (n_theta,); where None, they are searched for.
     test : Series or sequence of Series, optional
