@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self, TypeAlias
@@ -137,10 +137,15 @@ class BaseModel(Shown):
         """Other forms of the model that algorithms made from it, kept so that each is made once."""
         return {}
 
-    def evaluated(self, name: str, regular: Regular) -> ModelFunction:
-        """The function ``name`` of the model, ``regular``, with what is known of the calls that it takes."""
+    def evaluated(
+        self, name: str, regular: Callable[[Any], Regular], shapes: Sequence[tuple[int, ...]]
+    ) -> ModelFunction:
+        """The function ``name`` of the model, with what is known of the calls that it takes.
+
+        ``regular`` makes of it one that gives its results their regular shapes, for one row ``shapes``.
+        """
         bounds = (self.lower, self.upper)
-        return ModelFunction(regular, getattr(self, name), self.name, name, bounds)
+        return ModelFunction(regular, getattr(self, name), shapes, self.name, name, bounds)
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: the model's fields, not what was found out from them."""

@@ -21,7 +21,7 @@ systems: a local linearization approach", Statistica Sinica 2 (1992) 113-135.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -31,6 +31,7 @@ from engine.errors import ModelError
 from engine.kernels.local_linearization import beside, difference_quotients, step_of
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.reads import reads
+from engine.statespace.recorded import Recorded
 from engine.statespace.rows import frozen, is_rows
 from engine.statespace.shapes import as_matrix, as_rows, is_symmetric, stacked
 
@@ -189,6 +190,18 @@ class _Discretized:
         J = self._jacobian(a, f, A, u, middle, length, theta)
         x, step, Q = step_of(a, f, J, stacked(A), Qc, length)
         return (x, step, Q) if len(Q) > 1 else (x, step[0], Q[0])
+
+    def by_rows(self) -> _Discretized:
+        """The same for rows of any times and parameters; see :mod:`engine.statespace.recorded`."""
+        nx = self.na + self.nz
+        J = self.jacobian
+        return replace(
+            self,
+            drift=Recorded(self.drift, ((nx,), (nx, self.nz))),
+            diffusion=Recorded(self.diffusion, ((nx, nx),), several=False),
+            jacobian=None if J is None else Recorded(J, ((nx, self.na),), several=False),
+            repeated=_Repeated(),
+        )
 
     def reads_argument(self, position: int) -> bool:
         """Of a, u and t what any of its functions reads; the others it reads itself."""

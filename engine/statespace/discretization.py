@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from engine.arrays import Array
 from engine.errors import OptionError
 from engine.kernels.van_loan import van_loan
-from engine.statespace.model import Array
 from engine.statespace.shapes import is_symmetric
 
 

@@ -13,11 +13,14 @@ else, it is decided which calls a function takes:
   those of the calls before, or differ by more among their rows.
 - A call that is looked at thoroughly is made twice: a function that draws random numbers, or remembers
   its calls, is refused.
-- A function that fails is called for each time and parameter vector by itself from then on, which is
-  slower and always right. Where results were handed out before the failure was seen, what was made
-  of them is made again: see :mod:`engine.statespace.refutation`.
-- Where such a function has no nonlinear state, reads no times and is affine in the inputs, a few calls
-  tell the rest (:mod:`engine.statespace.affine`); rows that differ only in what it does not read are one call.
+- Where a function that fails has no nonlinear state, reads no times and is affine in the inputs, a few calls
+  tell the rest (:mod:`engine.statespace.affine`).
+- Any other that fails is evaluated by what was recorded of it (:mod:`engine.statespace.recorded`), which is
+  compared with calls of single rows in the same way.
+- Where that fails too, it is called for each time and parameter vector by itself from then on, which is
+  slower and always right; rows that differ only in what it does not read are one call. Where results were
+  handed out before a failure was seen, what was made of them is made again
+  (:mod:`engine.statespace.refutation`).
 - Rows of one time and one theta are particles, which no loop can help: where they influence each
   other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy. This is looked
   at in the 1st, 2nd, 4th, 8th, ... call, among states of other times.
@@ -28,6 +31,7 @@ else, it is decided which calls a function takes:
 from __future__ import annotations
 
 import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -38,6 +42,7 @@ from engine.statespace.affine import Affine
 from engine.statespace.compare import Result, copies, joined
 from engine.statespace.plan import Plan, plan_of
 from engine.statespace.reads import reads
+from engine.statespace.recorded import NotByRowsError, by_rows
 from engine.statespace.refutation import (
     calls_split,
     count_refutation,
@@ -70,12 +75,15 @@ def hands_rows_on(function: Any) -> Any:
 
 
 class _Verdict:
-    """Whether calls of a kind are taken, how many there were, and the next one not to be trusted."""
+    """Whether calls of a kind are taken, how many there were, and the next one not to be trusted.
 
-    __slots__ = ("calls", "due", "next", "ranges", "takes")
+    ``trial`` makes them: of the function itself, or of what was recorded of it.
+    """
 
-    def __init__(self) -> None:
-        self.takes, self.calls = True, 0
+    __slots__ = ("calls", "due", "next", "ranges", "takes", "trial")
+
+    def __init__(self, trial: Trial) -> None:
+        self.trial, self.takes, self.calls = trial, True, 0
         self.ranges: Array | None = None  # of inputs and times of the calls so far, see _ranges
         self.due = self.next = 1  # ``due`` is the next call to be looked at thoroughly
 
@@ -85,19 +93,27 @@ class _Verdict:
 
 
 class ModelFunction:
-    """One function of a model; ``regular`` calls it and gives its results their regular shapes.
+    """One ``function`` of a model, whose results have the ``shapes`` for one row.
 
-    ``function`` is the one it calls, ``model`` and ``name`` are for errors; ``bounds`` (low, high), each
-    (n_theta,), limit the parameters of the test.
+    ``regular`` makes of such a function one that gives its results their regular shapes; ``model`` and ``name``
+    are for errors; ``bounds`` (low, high), each (n_theta,), limit the parameters of the test.
     """
 
     def __init__(
-        self, regular: Regular, function: Any, model: str, name: str, bounds: tuple[Array, Array]
+        self,
+        regular: Callable[[Any], Regular],
+        function: Any,
+        shapes: Sequence[tuple[int, ...]],
+        model: str,
+        name: str,
+        bounds: tuple[Array, Array],
     ) -> None:
         self._trusted = getattr(function, "hands_rows_on", False)
-        self._regular, self._trial = regular, Trial(regular, bounds)
+        self._regular = regular(function)
+        self._trial = Trial(self._regular, bounds)
+        self._recorded = Trial(self._regular, bounds, regular(by_rows(function, shapes)))
         self.model, self.name = model, name
-        self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict()}
+        self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict(self._trial)}
         # the last record, what differs in it, the number of its rows (0: any), the verdict on it
         self._theta: Any = None
         self._kind: Kind | None = None
@@ -144,10 +160,14 @@ class ModelFunction:
         if verdict.calls >= verdict.next:
             return self._with_care(Rows(a, u, t, dt, theta), kind, verdict)
         try:  # as a filter calls it at every time step
-            out = self._regular(a.copy(), u, t, dt, theta)
+            out = verdict.trial.together(a.copy(), u, t, dt, theta)
+        except NotByRowsError as error:
+            if error.here:
+                return self._part_by_part(self._plan_of(a, u, t, dt, theta, kind), a, u, t, dt)
+            return self._otherwise(Rows(a, u, t, dt, theta), kind, verdict, error)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
             return self._otherwise(Rows(a, u, t, dt, theta), kind, verdict, error)
-        return copies(out) if self._trial.reuses else out
+        return copies(out) if verdict.trial.reuses else out
 
     def _handed_on(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """What the engine's own function makes of the results of another model's."""
@@ -160,13 +180,23 @@ class ModelFunction:
         self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
     ) -> Result:
         """A call for each theta, as a filter needs it at every time step, or what a few calls told."""
-        plan = self._plan
-        if plan.theta is not theta or len(a) != plan.M:
-            plan = self._plan = plan_of(Rows(a, u, t, dt, theta), kind)
+        plan = self._plan_of(a, u, t, dt, theta, kind)
         if self._affine is not None and not a.shape[1]:
             known = self._affine.step(plan, u, dt)
             if known is not None:
                 return known
+        if self._may_be_recorded(self._verdict, a):
+            return self._with_care(Rows(a, u, t, dt, theta), kind, self._verdict)
+        return self._part_by_part(plan, a, u, t, dt)
+
+    def _plan_of(self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Any) -> Plan:
+        """How rows of several parameter vectors are split, found once for all time steps."""
+        if self._plan.theta is not theta or len(a) != self._plan.M:
+            self._plan = plan_of(Rows(a, u, t, dt, theta), kind)
+        return self._plan
+
+    def _part_by_part(self, plan: Plan, a: Array, u: Array, t: float, dt: float) -> Result:
+        """A call for each theta of a plan."""
         count_split()
         alike, lost = self._verdicts[None], None
         each: list[Result | None] = []
@@ -189,7 +219,7 @@ class ModelFunction:
             return self(*rows.alone(kind, np.zeros(1, dtype=np.intp)))
         verdict = self._verdicts.get(kind)
         if verdict is None:
-            verdict = self._verdicts[kind] = _Verdict()
+            verdict = self._verdicts[kind] = _Verdict(self._trial)
         if kind is None or not kind.times:
             self._theta, self._kind, self._verdict = rows.theta, kind, verdict
             self._M = 0 if kind is None else len(rows.a)
@@ -206,7 +236,7 @@ class ModelFunction:
 
     def _with_care(self, rows: Rows, kind: Kind | None, verdict: _Verdict) -> Result:
         """Together if that is right, else each time and theta by itself."""
-        if not verdict.takes and kind is not None:
+        if kind is not None and not (verdict.takes or self._may_be_recorded(verdict, rows.a)):
             return self._apart(rows, kind)
         together: Result | None
         try:
@@ -217,16 +247,16 @@ class ModelFunction:
                 if thorough:
                     verdict.due = 16 * verdict.calls
                 verdict.next = min(verdict.due, 2 * verdict.calls) if kind is None else verdict.due
-                together = self._trial.agreeing(rows, kind, thorough, verdict.calls)
+                together = verdict.trial.agreeing(rows, kind, thorough, verdict.calls)
             else:
-                together = self._regular(*rows.fresh())
+                together = verdict.trial.together(*rows.fresh())
         except UnrepeatedError as error:
             self._fail(ModelError(f"{self.name}: {error}"), rows)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
             return self._otherwise(rows, kind, verdict, error)
         if together is None:
             return self._otherwise(rows, kind, verdict)
-        return copies(together) if self._trial.reuses else together
+        return copies(together) if verdict.trial.reuses else together
 
     def _otherwise(
         self, rows: Rows, kind: Kind | None, verdict: _Verdict, error: Exception | None = None
@@ -234,6 +264,8 @@ class ModelFunction:
         """What is right where one call is not. Raises ModelError where nothing is."""
         if kind is not None:
             out = self._apart(rows, kind)  # raises where the function fails by itself too
+            if isinstance(error, NotByRowsError) and error.here:
+                return out
             verdict.refuse()
             if verdict.calls > 1:
                 count_refutation()
@@ -247,11 +279,25 @@ class ModelFunction:
             placed=True,
         )
 
+    def _may_be_recorded(self, verdict: _Verdict, a: Array) -> bool:
+        """Turn to what was recorded of a function that is called row by row so far; whether that is new."""
+        affine = self._affine is not None and self._affine.holds and not a.shape[1]
+        if affine or verdict.trial is self._recorded:
+            return False
+        verdict.trial, verdict.takes = self._recorded, True
+        verdict.calls, verdict.due, verdict.next = 0, 1, 1
+        return True
+
     def once(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """One call with what is given, without a test; whatever the function raises."""
         if self._affine is not None and not a.shape[1]:
             return self(a, u, t, dt, theta)
-        return self._regular(a.copy(), regular_input(u, len(a)), t, dt, theta)
+        u = regular_input(u, len(a))
+        if t.__class__ is not float:
+            verdict = self._verdicts.get(self._kind_of(Rows(a, u, t, dt, theta)))
+            if verdict is not None and verdict.trial is self._recorded:
+                return self(a, u, t, dt, theta)
+        return self._regular(a.copy(), u, t, dt, theta)
 
     def _one(self, u: Array, dt: float, theta: Any) -> Result:
         """A row of a function that has no nonlinear state and does not read the times."""
@@ -265,10 +311,16 @@ class ModelFunction:
             return calls_split() == before
         rows = Rows(a, regular_input(u, len(a)), t, dt, theta)
         kind = self._kind_of(rows)
-        if kind is not None and (kind not in self._verdicts):
-            self._first_look(rows)
+        for _ in range(2):  # by itself, and as recorded
+            if kind is not None and not (kind in self._verdicts and self._verdicts[kind].takes):
+                self._first_look(rows)
         verdict = self._verdicts.get(kind)  # a single row needs none
         return verdict is None or verdict.takes
+
+    @property
+    def recorded(self) -> bool:
+        """Whether some rows are evaluated by what was recorded of the function."""
+        return any(one.trial is self._recorded and one.takes for one in self._verdicts.values())
 
     def look_again(self, u: Array | None = None) -> None:
         """Look at the next call of each kind, briefly unless a thorough look is due; not at particles.

@@ -128,14 +128,17 @@ class NonlinearModel(BaseModel):
     @cached_property
     def transitions(self) -> ModelFunction:
         """``transition``, with what is known of the calls that ``dynamics`` takes."""
+        nx = self.nx
 
-        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
-            f, g = self.dynamics(x, u, t, dt, theta)
-            K, nx = x.shape[0], self.nx
-            f = as_rows(f, K, nx, "dynamics: f")
-            return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
+        def regular(dynamics: Any) -> Any:
+            def call(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+                f, g = dynamics(x, u, t, dt, theta)
+                f = as_rows(f, len(x), nx, "dynamics: f")
+                return f, None if g is None else as_matrix(g, len(x), nx, nx, "dynamics: g")
 
-        return self.evaluated("dynamics", regular)
+            return call
+
+        return self.evaluated("dynamics", regular, ((nx,), (nx, nx)))
 
     def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
         """Evaluate log p(x_{t+1} | x_t) for x_next (..., nx), with f (..., nx) and g of ``transition``."""
@@ -153,14 +156,17 @@ class NonlinearModel(BaseModel):
     @cached_property
     def observations(self) -> ModelFunction:
         """``output``, likewise; its dt has no meaning."""
+        ny = self.ny
 
-        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
-            h, s = self.measurement(x, u, t, theta)
-            K, ny = x.shape[0], self.ny
-            h = as_rows(h, K, ny, "measurement: h")
-            return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
+        def regular(measurement: Any) -> Any:
+            def call(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+                h, s = measurement(x, u, t, theta)
+                h = as_rows(h, len(x), ny, "measurement: h")
+                return h, None if s is None else as_matrix(s, len(x), ny, ny, "measurement: s")
 
-        return self.evaluated("measurement", regular)
+            return call
+
+        return self.evaluated("measurement", regular, ((ny,), (ny, ny)))
 
     def log_measurement(self, y: Array, x: Array, u: Any, t: Any, theta: Any) -> Array:
         """Evaluate log p(y_t | x_t) (K,) for x (K, nx) and y (ny,) or (K, ny)."""

@@ -32,8 +32,9 @@ breaks this is refused with a ModelError.
 What need not be written: anything about ``u``, ``t``, ``dt`` and ``theta`` may be a plain number's, as in
 ``if t > 5``, ``math.cos(theta.w)``, ``np.linalg.norm(u)``, ``np.diag([1e-4, theta.q])``. The engine also tries
 to call a function with many times, u (nu, M) and t (M,), and with many parameter vectors, arrays (M,)
-in ``theta``, and finds out by itself whether that gives the same. Where it does not, each time or
-parameter vector is a call of its own, which is slower and as right. A function may write into ``a``,
+in ``theta``, and finds out by itself whether that gives the same. Where it does not, what the function does
+to one row is recorded and done to all (:mod:`engine.statespace.recorded`); where that is not possible either,
+each time or parameter vector is a call of its own, which is slower and as right. A function may write into ``a``,
 which is its own copy, and into nothing else it is given; see :mod:`engine.statespace.evaluation`.
 """
 
@@ -260,32 +261,38 @@ class MixedModel(BaseModel):
     @cached_property
     def transitions(self) -> ModelFunction:
         """``transition``, with what is known of the calls that ``dynamics`` takes."""
+        nx, nz = self.nx, self.nz
 
-        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
-            f, A, Q = self.dynamics(a, u, t, dt, theta)
-            M, nx, nz = a.shape[0], self.nx, self.nz
-            return (
-                as_rows(f, M, nx, "dynamics: f"),
-                as_matrix(A, M, nx, nz, "dynamics: A"),
-                as_matrix(Q, M, nx, nx, "dynamics: Q"),
-            )
+        def regular(dynamics: Any) -> Any:
+            def call(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
+                f, A, Q = dynamics(a, u, t, dt, theta)
+                return (
+                    as_rows(f, len(a), nx, "dynamics: f"),
+                    as_matrix(A, len(a), nx, nz, "dynamics: A"),
+                    as_matrix(Q, len(a), nx, nx, "dynamics: Q"),
+                )
 
-        return self.evaluated("dynamics", regular)
+            return call
+
+        return self.evaluated("dynamics", regular, ((nx,), (nx, nz), (nx, nx)))
 
     @cached_property
     def observations(self) -> ModelFunction:
         """``observation``, likewise; its dt has no meaning."""
+        ny, nz = self.ny, self.nz
 
-        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
-            h, C, R = self.measurement(a, u, t, theta)
-            M, ny, nz = a.shape[0], self.ny, self.nz
-            return (
-                as_rows(h, M, ny, "measurement: h"),
-                as_matrix(C, M, ny, nz, "measurement: C"),
-                as_matrix(R, M, ny, ny, "measurement: R"),
-            )
+        def regular(measurement: Any) -> Any:
+            def call(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
+                h, C, R = measurement(a, u, t, theta)
+                return (
+                    as_rows(h, len(a), ny, "measurement: h"),
+                    as_matrix(C, len(a), ny, nz, "measurement: C"),
+                    as_matrix(R, len(a), ny, ny, "measurement: R"),
+                )
 
-        return self.evaluated("measurement", regular)
+            return call
+
+        return self.evaluated("measurement", regular, ((ny,), (ny, nz), (ny, ny)))
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> MixedModel:
         """The same functions with parameters described otherwise; what is known of their calls is kept."""

@@ -44,12 +44,16 @@ class UnrepeatedError(ModelError):
 class Trial:
     """What is known of one function from its calls so far.
 
+    ``together`` evaluates many rows, by default as ``regular`` does, to which it is compared row by row.
     ``reuses``: whether it returns memory of its own and writes there again; ``tried_single`` whether a single
     row was looked at for that. ``bounds`` (low, high), each (n_theta,), limit scattered parameters.
     """
 
-    def __init__(self, regular: Regular, bounds: tuple[Array, Array]) -> None:
+    def __init__(
+        self, regular: Regular, bounds: tuple[Array, Array], together: Regular | None = None
+    ) -> None:
         self._regular, self._bounds = regular, bounds
+        self.together = regular if together is None else together
         self.reuses = self.tried_single = False
         self._seen = np.empty((0, 0))  # states of earlier looks
 
@@ -57,7 +61,7 @@ class Trial:
         """The results of one call, None where other calls of the same rows say otherwise."""
         M = len(rows.a)
         rng = np.random.default_rng((seed, M))
-        raw = self._regular(*rows.fresh())
+        raw = self.together(*rows.fresh())
         together = copies(raw) if thorough or self.reuses else raw
         with np.errstate(all="ignore"):
             ends = rows.extremes(kind, rng)
@@ -91,7 +95,7 @@ class Trial:
         self._remember(rows.a[some[-SINGLE_ROWS:]])
         n = len(mixed.a)
         singles = self._singles(mixed, None, [0, n - 1, *rng.integers(0, n, MORE)])
-        mixture = copies(self._regular(*mixed.fresh()))
+        mixture = copies(self.together(*mixed.fresh()))
         return self._like(mixed, None, mixture, rng.permutation(n)[: n // 2], singles)
 
     def _remember(self, a: Array) -> None:
@@ -108,7 +112,7 @@ class Trial:
 
     def _repeat(self, rows: Rows, known: Result) -> None:
         """The same call once more. Raises UnrepeatedError where it gives something else."""
-        again = copies(self._regular(*rows.fresh()))
+        again = copies(self.together(*rows.fresh()))
         if differ(known, again, sizes_of(known), True):
             raise UnrepeatedError(UNREPEATED)
 
@@ -116,7 +120,7 @@ class Trial:
         """Whether a call with slightly other arguments writes into what was returned before."""
         other = rows.nudged(1.0)
         with np.errstate(all="ignore"), contextlib.suppress(Exception):
-            self._regular(*other._replace(a=other.a + PERTURBATION))  # also where a is zero
+            self.together(*other._replace(a=other.a + PERTURBATION))  # also where a is zero
         self.reuses = self.reuses or not identical(raw, known)
 
     def _agrees_when_spread(
@@ -134,10 +138,10 @@ class Trial:
             if any(alone is None for _, alone in singles):
                 continue
             try:
-                together = copies(self._regular(*drawn.fresh()))
+                together = copies(self.together(*drawn.fresh()))
                 return self._like(drawn, kind, together, rng.permutation(n)[: n // 2], singles)
-            except Exception:  # noqa: BLE001 - particles out there may be no concern of the model
-                if kind is not None:
+            except Exception as error:  # noqa: BLE001 - particles out there may be no concern of the model
+                if kind is not None and not getattr(error, "here", False):
                     return False
         return True
 
@@ -152,13 +156,13 @@ class Trial:
         """Whether rows give the same in less company, in another order, and alone."""
         sizes = sizes_of(at_rows(together, company))
         fewer = rows.take(kind, company)
-        now = copies(self._regular(*fewer.fresh()))
+        now = copies(self.together(*fewer.fresh()))
         pairs = [(at_rows(together, company), now)]
         pairs += [(at_rows(together, np.array([i])), one) for i, one in singles if one is not None]
         apart = [pair for pair in pairs if differ(*pair, sizes, kind is None)]
         if not apart:
             return True
-        nudged = [copies(self._regular(*fewer.nudged(sign))) for sign in (-1.0, 1.0)]
+        nudged = [copies(self.together(*fewer.nudged(sign))) for sign in (-1.0, 1.0)]
         noise = noise_of(now, nudged)  # some functions magnify rounding
         return not any(differ(*pair, sizes, kind is None, noise) for pair in apart)
 

@@ -5,7 +5,9 @@
 ``tanks``: two water tanks in cascade by Bernoulli's law, written with :func:`engine.continuous`, on a record of
 columns u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over. ``room``: a
 heated room, written with a matrix exponential for one time and one parameter vector a call. ``house``: two
-zones, whose noise is a diagonal matrix of one parameter vector, with outliers.
+zones, whose noise is a diagonal matrix of one parameter vector, with outliers. ``vessels``: two stirred
+vessels, written with ``math.exp`` and a condition for one time and one parameter vector; the flow multiplies
+the states.
 
 The older commit is unpacked beside this one. Both run a pass of the filter, one with derivatives by all
 parameters, and the whole diagnosis, of the first N samples if asked, in processes of their own, one after the
@@ -24,6 +26,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -188,6 +191,55 @@ def house_record(model: engine.MixedModel, file: str | None) -> engine.Series:
     return hide(model, ["heavy-tails:zone1"], theta, 400, rng, u=u, dt=0.25).series
 
 
+def vessels_step(a: Any, u: Any, t: Any, dt: Any, theta: Any) -> Any:
+    """Two salt balances over a step of held inputs, as a process engineer would write them."""
+    fast, slow = u[0] / theta.V1, u[0] / theta.V2 + theta.k
+    e1, e2 = math.exp(-fast * dt), math.exp(-slow * dt)
+    if abs(fast - slow) > 1e-9:
+        across = u[0] / theta.V2 * (e2 - e1) / (fast - slow)
+    else:
+        across = u[0] / theta.V2 * dt * e1
+    A = np.array([[e1, 0.0], [across, e2]])
+    rest = np.array([u[1], u[0] / theta.V2 / slow * u[1]])
+    Q = np.zeros((2, 2))
+    Q[0, 0] = Q[1, 1] = theta.q**2 * dt
+    return rest - A @ rest, A, Q
+
+
+def vessels() -> engine.MixedModel:
+    """Concentrations in grams per litre."""
+    return engine.MixedModel(
+        name="vessels",
+        dynamics=vessels_step,
+        measurement=lambda a, u, t, theta: (
+            [0.0, 0.0],
+            np.eye(2),
+            np.diag([theta.r**2, theta.r**2]),
+        ),
+        initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [35.0, 30.0], np.eye(2)),
+        nonlinear={},
+        linear={"first": "g/L", "second": "g/L"},
+        inputs={"flow": "L/s", "feed": "g/L"},
+        outputs={"probe1": "g/L", "probe2": "g/L"},
+        parameters=[
+            engine.Parameter("V1", 185.0, "L", (10.0, 1e4)),
+            engine.Parameter("V2", 350.0, "L", (10.0, 1e4)),
+            engine.Parameter("k", 1.2e-3, "1/s", (1e-6, 0.1)),
+            engine.Parameter("q", 0.02, "g/L/s^0.5", (1e-5, 1.0)),
+            engine.Parameter("r", 0.1, "g/L", (1e-4, 10.0)),
+        ],
+    )
+
+
+def vessels_record(model: engine.MixedModel, file: str | None) -> engine.Series:
+    rng = np.random.default_rng(1)
+    flow = np.repeat(rng.uniform(1.0, 3.0, 40), 10)
+    feed = np.repeat(rng.uniform(25.0, 45.0, 25), 16)
+    theta = {"V1": 200.0, "V2": 320.0, "k": 1e-3, "lag_probe2": 25.0}
+    u = np.column_stack([flow, feed])
+    return hide(model, ["lag:probe2"], theta, 400, rng, u=u, dt=10.0).series
+
+
 @dataclass(frozen=True)
 class Case:
     """Whose record, a model, how it is made, what is held, the effects of single steps and of the diagnosis."""
@@ -224,6 +276,14 @@ CASES = {
         {},
         ("force:T1", "lag:zone1", "heavy-tails:zone1"),
         ["heavy-tails", "force", "bias", "lag", "pulse"],
+    ),
+    "vessels": Case(
+        "two stirred vessels",
+        vessels,
+        vessels_record,
+        {},
+        ("force:first", "lag:probe2", "delay:feed"),
+        ["delay", "force", "lag", "bias", "step"],
     ),
 }
 

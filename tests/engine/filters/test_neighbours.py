@@ -25,11 +25,11 @@ MODELS = ("mixed-4", "servo", "tanks", "linear-2", "oscillator")
 
 
 def one_vector_a_call(model):
-    """The same model written by somebody whose functions take one parameter vector a call."""
+    """The same model written by somebody whose functions take one parameter vector a call, as a key."""
+    known = {}
 
     def plain(theta):
-        assert all(np.ndim(value) == 0 for value in theta)
-        return theta
+        return known.setdefault(theta, theta)
 
     def dynamics(a, u, t, dt, theta):
         return model.dynamics(a, u, t, dt, plain(theta))

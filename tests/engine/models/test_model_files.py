@@ -131,13 +131,15 @@ def test_what_the_check_says(tmp_path):
     assert any("lists no equations" in one for one in said)
     cubic = model_from(str(write(tmp_path, "cubic", ("a[:, 0]], np", "a[:, 0] ** 3], np"))))
     assert "quasi-newton and rbps-em apply" in model_check(cubic)[1]
-    slow = write(tmp_path, "slow", ("theta.c * a[:, 0]", "float(theta.c) * a[:, 0]"))
+    slow = write(tmp_path, "slow", ("theta.c * a[:, 0]", "round(theta.c, 9) * a[:, 0]"))
     assert any(
         "dynamics takes one parameter vector" in one for one in model_check(model_from(str(slow)))
     )
-    both = write(tmp_path, "both", ("theta.c * a[:, 0]", "float(theta.c) * a[:, 0]"))
+    number = write(tmp_path, "number", ("theta.c * a[:, 0]", "float(theta.c) * a[:, 0]"))
+    assert not any("one parameter vector" in one for one in model_check(model_from(str(number))))
+    both = write(tmp_path, "both", ("theta.c * a[:, 0]", "round(theta.c, 9) * a[:, 0]"))
     both.write_text(
-        both.read_text().replace("return [a[:, 0]]", "return [float(theta.c) * a[:, 0]]")
+        both.read_text().replace("return [a[:, 0]]", "return [round(theta.c, 9) * a[:, 0]]")
     )
     assert any(
         "dynamics and measurement take one parameter" in one

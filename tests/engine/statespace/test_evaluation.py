@@ -300,7 +300,7 @@ def test_what_was_made_from_calls_that_turn_out_wrong_is_made_again():
     got = moment_filter(model, apart, series).log_likelihood
     each = [moment_filter(model, row[None], series).log_likelihood[0] for row in apart]
     np.testing.assert_allclose(got, each, rtol=1e-12)
-    assert not model.transitions.takes(a, series.u[0], 0.0, 0.1, model.records(apart))
+    assert model.transitions.recorded
 
 
 @pytest.mark.parametrize("name", engine.model_names())
@@ -343,7 +343,7 @@ def test_generators_start_again_where_they_were():
     expected = propagate(
         late, late.records(thetas), series, x1[:, :1], x1[:, 1:], np.random.default_rng(5)
     )[0]
-    assert not late.transitions.takes(x1[:, :1], u[0], 0.0, 0.1, late.records(thetas))
+    assert late.transitions.recorded
     np.testing.assert_array_equal(got, expected)
 
 
@@ -543,10 +543,8 @@ def test_runs_and_verdicts_are_the_same_in_other_units(x, z, u, y, t, factor):
     record = model.record(model.theta())
     f, g = (p.transition(record)[0] for p in points)
     np.testing.assert_allclose(g / [x, z], f, rtol=1e-9)
-    verdicts = [
-        p.model.transitions.takes(*p.arguments(np.arange(39), True), record) for p in points[:1]
-    ]
-    assert verdicts == [factor != "if u"]
+    assert model.transitions.takes(*points[0].arguments(np.arange(39), True), record)
+    assert model.transitions.recorded is (factor == "if u")
     runs = [engine.free_run(m, None, s) for m, s in ((model, series), (scaled, there))]
     np.testing.assert_allclose(runs[1].y / y, runs[0].y, rtol=1e-9)
 

@@ -1,0 +1,16 @@
+"""A function written for one time and one parameter vector, evaluated for many: recorded once, then replayed.
+
+``math.exp(-theta.k * dt)``, ``np.array([[1.0, dt], [-theta.k, 1.0]])``, ``if u[0] > theta.limit``: physics is
+written so, and takes no rows. What such a function calculates can be written down while it runs once on numbers
+that remember where they come from (:mod:`.numbers`, :mod:`.stand_ins`), as programs for automatic
+differentiation do ("operator overloading": A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed. 2008,
+ch. 6). The list of operations is then gone through for all rows at once (:mod:`.program`). Conditions are
+part of the list: rows for which one turns out otherwise are recorded by themselves.
+
+What cannot be written down (a number that becomes an index, a text or a key) is refused, and the function is
+called row by row. What can is tested as any call of many rows is, by :mod:`engine.statespace.evaluation`.
+"""
+
+from engine.statespace.recorded.program import NotByRowsError, Recorded, by_rows
+
+__all__ = ["NotByRowsError", "Recorded", "by_rows"]

@@ -1,0 +1,291 @@
+"""What was recorded of a function, as paths of operations between conditions, gone through for many rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from engine.statespace.reads import reads
+from engine.statespace.recorded.numbers import (
+    Operation,
+    Recorder,
+    Traced,
+    TracedArray,
+    UntraceableError,
+)
+from engine.statespace.recorded.stand_ins import traceable
+from engine.statespace.rows import Array, Indices, is_rows
+
+PATHS = 32  # through one function
+STEPS = 32  # lengths of time steps for each of which a function is recorded that counts with them
+TRIES = 8  # rows at which nothing could be calculated, until it is given up
+ENTRIES = 2**18  # numbers kept at once: rows are taken in parts
+
+
+class NotByRowsError(Exception):
+    """A function cannot be recorded; only here, where the numbers of these rows are why, or not at all."""
+
+    def __init__(self, here: bool) -> None:
+        super().__init__("written so that it cannot be evaluated for many rows")
+        self.here = here
+
+
+@dataclass(frozen=True)
+class Output:
+    """One result: ``shape``, the ``fixed`` entries (n,), and pairs (entry, number of a value) of the others."""
+
+    shape: tuple[int, ...]
+    fixed: Array
+    moving: Sequence[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Rows that take one path: its ``outputs`` with the values of their moving entries."""
+
+    at: slice | Indices
+    outputs: Sequence[Output | None]
+    values: Sequence[Sequence[Any]]
+
+
+@dataclass
+class Path:
+    """Operations up to a condition or the end, where the outputs are known."""
+
+    operations: list[Operation] = field(default_factory=list)
+    constants: dict[int, Any] = field(default_factory=dict)
+    condition: int | None = None
+    then: dict[bool, Path] = field(default_factory=dict)
+    outputs: Sequence[Output | None] = ()
+
+
+class Recorded:
+    """A function (a, u, t, dt, theta) or (a, u, t, theta) for rows as :mod:`engine.statespace.rows` has them.
+
+    ``shapes`` are those of its results for one row; it returns a tuple of them where ``several``, the first as
+    (M, n), the others (r, c) where common to all rows, else (M, r, c). Raises NotByRowsError.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], shapes: Sequence[tuple[int, ...]], several: bool = True
+    ) -> None:
+        self._function, self._shapes, self._several = function, shapes, several
+        self._traceable: Any = None
+        self._first: dict[Any, Path] = {}
+        self._paths = self._lost = self._longest = 0
+        self._counts = False  # whether it makes something of the time step that is no number
+
+    def __call__(self, a: Array, u: Any, t: Any, *others: Any) -> Any:
+        """The results of all rows."""
+        *step, theta = others
+        try:
+            return self._called(a, u, t, step, theta)
+        except NotByRowsError as error:
+            if error.here or self._counts or not step or self._first:
+                raise
+            self._counts = True  # range(int(dt / h)) is possible for each length of it
+            return self._called(a, u, t, step, theta)
+
+    def _called(self, a: Array, u: Any, t: Any, step: Sequence[Any], theta: Any) -> Any:
+        key = self._key(u, step)
+        given = [*a.T, *([] if u is None else u), t, *(step if key[1] is None else ()), *theta]
+        given = [x if is_rows(x) else float(x) for x in given]
+        lengths = a.shape[1], 0 if u is None else len(u)
+        arguments = key, lengths, theta, step
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            parts = list(self._parts(len(a), given, arguments))
+        found = tuple(
+            self._collected(parts, j, len(a), always=j == 0 and self._several)
+            for j in range(len(self._shapes))
+        )
+        return found if self._several else found[0]
+
+    def _key(self, u: Any, step: Sequence[Any]) -> tuple[bool, float | None]:
+        """What a recording belongs to: whether there are inputs, and a time step that is counted with."""
+        if not (step and self._counts):
+            return u is None, None
+        if is_rows(step[0]):
+            raise NotByRowsError(here=False)
+        key = u is None, float(step[0])
+        if key not in self._first and len(self._first) >= STEPS:
+            raise NotByRowsError(here=True)
+        return key
+
+    def _parts(self, M: int, given: list[Any], arguments: Any) -> Iterator[Part]:
+        """The rows by the path they take, each with the values there."""
+        first = self._first.get(arguments[0])
+        if first is None:
+            first = self._record(given, 0, arguments)
+        size = max(64, ENTRIES // self._longest)
+        for start in range(0, M, size):
+            todo: list[slice | Indices] = [slice(start, min(start + size, M))]
+            while todo:
+                at = todo.pop()
+                own = [x[at] if isinstance(x, np.ndarray) else x for x in given]
+                split = yield from self._along(first, own, at, given, arguments)
+                todo += split
+
+    def _along(
+        self, path: Path, values: list[Any], at: slice | Indices, given: list[Any], arguments: Any
+    ) -> Any:
+        """One path to its end; where rows part, nothing, and the rows of either side are returned."""
+        known: dict[int, Any] = dict(enumerate(values))
+        while True:
+            known.update(path.constants)
+            try:
+                for function, of, out in path.operations:
+                    known[out] = function(*[known[i] for i in of])
+            except (ArithmeticError, ValueError) as error:
+                raise NotByRowsError(here=True) from error
+            if path.condition is None:
+                yield Part(
+                    at,
+                    path.outputs,
+                    [
+                        [known[i] for _, i in output.moving] if output else []
+                        for output in path.outputs
+                    ],
+                )
+                return []
+            held = np.asarray(known[path.condition], dtype=bool)
+            answer = bool(held.flat[0])
+            rows = np.arange(at.start, at.stop) if isinstance(at, slice) else at
+            if held.ndim and not (held == answer).all():
+                return [rows[~held], rows[held]]
+            if answer not in path.then:
+                self._record(given, int(rows[0]), arguments)
+            if answer not in path.then:  # rounding decides
+                raise NotByRowsError(here=True)
+            path = path.then[answer]
+
+    def _collected(self, parts: Sequence[Part], j: int, M: int, always: bool) -> Array | None:
+        """The result number j of all rows."""
+        outputs = [part.outputs[j] for part in parts]
+        if all(output is None for output in outputs):
+            return None
+        first, common = outputs[0], len(parts) == 1 and not always
+        if first is None:
+            raise NotByRowsError(here=False)
+        common = common and not any(map(is_rows, parts[0].values[j]))
+        out = np.empty((1 if common else M, first.fixed.size))
+        for part, output in zip(parts, outputs, strict=True):
+            if output is None:
+                raise NotByRowsError(here=False)
+            at: Any = slice(None) if common else part.at
+            out[at] = output.fixed
+            for (entry, _), value in zip(output.moving, part.values[j], strict=True):
+                out[at, entry] = value
+        return out.reshape(first.shape if common else (M, *first.shape))
+
+    # ---- recording ---------------------------------------------------------------------------
+
+    def _record(self, given: list[Any], row: int, arguments: Any) -> Path:
+        """Run the function on one row, and add the path it takes; the first path of all is returned."""
+        key, (na, nu), theta, step = arguments
+        if self._paths >= PATHS or self._lost >= TRIES:
+            raise NotByRowsError(here=False)
+        recorder = Recorder()
+        numbers = [recorder.number(float(x[row]) if is_rows(x) else x) for x in given]
+        a = np.array(numbers[:na], dtype=object).reshape(1, na).view(TracedArray)
+        u = None if key[0] else np.array(numbers[na : na + nu], dtype=object).view(TracedArray)
+        rest = iter(numbers[na + nu :])
+        t = next(rest)
+        step = step if key[1] is not None else [next(rest) for _ in step]
+        try:
+            if self._traceable is None:
+                self._traceable = traceable(self._function)
+            found = self._traceable(a, u, t, *step, theta._make(rest))
+            outputs = self._outputs(found if self._several else (found,), recorder)
+        except UntraceableError as error:
+            raise NotByRowsError(here=False) from error
+        except NotByRowsError:
+            raise
+        except Exception as error:
+            self._lost += 1
+            here = isinstance(error, ArithmeticError | ValueError)
+            raise NotByRowsError(here=here) from error
+        finally:
+            recorder.open = False
+        self._paths += 1
+        self._longest = max(self._longest, recorder.values)
+        path = _chain(recorder, outputs)
+        first = self._first.setdefault(key, path)
+        if first is not path:
+            _graft(first, path)
+        return first
+
+    def _outputs(self, found: Any, recorder: Recorder) -> Sequence[Output | None]:
+        if not isinstance(found, list | tuple) or len(found) != len(self._shapes):
+            raise UntraceableError
+        out: list[Output | None] = []
+        for value, shape in zip(found, self._shapes, strict=True):
+            if value is None:
+                out.append(None)
+                continue
+            entries = list(_leaves(value))
+            if len(entries) != int(np.prod(shape)):
+                raise UntraceableError
+            fixed = [0.0 if isinstance(x, Traced) else float(x) for x in entries]
+            moving = [(i, x.index) for i, x in enumerate(entries) if isinstance(x, Traced)]
+            out.append(Output(shape, np.array(fixed), moving))
+        return out
+
+    def reads_argument(self, position: int) -> bool:
+        """What the function itself reads."""
+        return reads(self._function, position)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # without what it remembers
+        return type(self), (self._function, self._shapes, self._several)
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """All entries of nested lists and arrays, in their order."""
+    if isinstance(value, np.ndarray):
+        yield from value.ravel().tolist()
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _leaves(one)
+    else:
+        yield value
+
+
+def _chain(recorder: Recorder, outputs: Sequence[Output | None]) -> Path:
+    """What was recorded as paths one after the other."""
+    first = path = Path(constants=recorder.constants)
+    for step in recorder.done:
+        if isinstance(step, Operation):
+            path.operations.append(step)
+        else:
+            path.condition = step.of
+            path.then[step.held] = path = Path()
+    path.outputs = outputs
+    return first
+
+
+def _graft(known: Path, new: Path) -> None:
+    """Add a path to those that begin as it does."""
+    while True:
+        same = known.condition == new.condition and len(known.operations) == len(new.operations)
+        if known.condition is None or not same:
+            raise NotByRowsError(
+                here=False
+            )  # the same conditions did not lead to the same operations
+        ((held, rest),) = new.then.items()
+        if held not in known.then:
+            rest.constants = new.constants | rest.constants
+            known.then[held] = rest
+            return
+        rest.constants = new.constants | rest.constants
+        known, new = known.then[held], rest
+
+
+def by_rows(function: Any, shapes: Sequence[tuple[int, ...]]) -> Any:
+    """The same function for rows of any times and parameters.
+
+    Functions of the engine's own that call a user's know which.
+    """
+    own = getattr(function, "by_rows", None)
+    return Recorded(function, shapes) if own is None else own()

@@ -1,0 +1,305 @@
+"""Functions written for one time and one parameter vector, evaluated for many rows as they are alone."""
+
+import functools
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import Phase, given, settings
+from numpy.linalg import solve
+from scipy.special import expit
+
+import engine
+from engine import Gaussian, MixedModel, Parameter, Series
+from engine.filters.sigma_point import moment_filter
+
+M = 60
+GRAVITY = 9.81
+TABLE = (np.array([-1.0, 0.0, 2.0]), np.array([0.5, 0.0, 3.0]))
+SHAPE = np.array([[1.0, 0.5], [0.0, 1.0]])
+
+
+def helper(x, y=2.0):
+    return math.tanh(x) / y if x > 0 else x
+
+
+@functools.cache
+def remembered(w, dt):
+    return math.exp(-w * dt)
+
+
+def matrices(a, u, t, dt, th):
+    A = np.zeros((2, 1))
+    A[0, 0] = math.exp(-th.w * dt)
+    A[1] += th.w * t
+    return [A[0, 0] * a[:, 0], th.k * u[0]], A, np.diag([th.q, 1e-4])
+
+
+def conditions(a, u, t, dt, th):
+    f = th.k * u[0] if u[0] > 0.3 else -u[0]
+    if t > 5.0 and not (th.w < 1.0 or u[1] < 0):
+        f = f + 1.0
+    return [a[:, 0] + f, max(th.w, 1.0, u[1]) + min(u[0], t)], [[0.1], [0.2]], th.q * np.eye(2)
+
+
+def systems(a, u, t, dt, th):
+    F = np.array([[0.0, 1.0], [-(th.w**2), -2.0 * th.k * th.w]])
+    A, B, Q = engine.discretize(F, [[0.0], [1.0]], np.diag([0.0, th.q]), dt=dt)
+    f = [B[i, 0] * u[0] + A[i, 0] * a[:, 0] for i in range(2)]
+    return f, A[:, 1:], Q + 1e-9 * np.eye(2)
+
+
+def algebra(a, u, t, dt, th):
+    F = [[-th.w, 0.5], [u[1], -2.0]]
+    A = scipy.linalg.expm(np.asarray(F) * dt)
+    x = solve(np.array([[2.0 + th.k, 0.1], [0.2, 3.0]]), np.array([u[0], t]))
+    B = np.linalg.inv(np.eye(2) + 0.1 * A @ A.T)
+    f = [x[0] + A[0, 0] * a[:, 0], (x + A @ np.array([th.k, 1.0]))[1]]
+    return f, B[:, :1], np.eye(2) * th.q + SHAPE @ SHAPE.T
+
+
+def functions(a, u, t, dt, th):
+    w = float(th.w)
+    rate = np.interp(u[0], *TABLE) + helper(u[1], y=3.0) + math.log(w, 2.0) + math.atan2(u[0], w)
+    swing = np.where(a[:, 0] > 0, np.sqrt(np.abs(a[:, 0])), -a[:, 0]) + np.clip(u[1], -0.5, th.k)
+    level = np.linalg.norm(np.array([th.w, th.k, u[0]])) + np.hypot(th.w, u[0]) + expit(th.k)
+    return (
+        [swing + rate, level - GRAVITY % th.w],
+        [[remembered(w, dt)], [t // 2.0]],
+        np.diag([th.q] * 2),
+    )
+
+
+def loops(a, u, t, dt, th):
+    x, n, force = [a[:, 0], 0.1], 5, math.sin(th.w * t) if t > 1.0 else 0.0
+    for _ in range(n):
+        slope = [x[1], -(th.w**2) * np.sin(x[0]) + u[0] * force]
+        x = [xi + dt / n * si for xi, si in zip(x, slope, strict=True)]
+    return x, np.reshape([th.k, 0.0], (2, 1)), [[th.q, 0.0], [0.0, th.q]]
+
+
+def substeps(a, u, t, dt, th):
+    x = [a[:, 0], th.w]
+    for k in range(max(1, int(dt / 0.03))):
+        x = [x[0] - 0.03 * k * th.w, x[1] + (k == 1) * u[0]]
+    return x, SHAPE[:, :1], np.diag([th.q, th.q])
+
+
+def types(a, u, t, dt, th):
+    if isinstance(th.w, float) and np.isscalar(th.k) and not isinstance(u[0], np.ndarray):
+        out = np.array([th.w, th.k], dtype=float)
+    else:
+        out = np.zeros(2)
+    return out.astype(float), np.full((2, 1), th.k), np.identity(2, dtype=np.float64) * th.q
+
+
+def seldom(a, u, t, dt, th):
+    """What it has beyond 2.2 is met by few rows."""
+    return (
+        [a[:, 0] + (100.0 * th.w if abs(u[0]) > 2.2 else 0.0), u[1]],
+        SHAPE[:, :1],
+        th.q * np.eye(2),
+    )
+
+
+WRITTEN = (matrices, conditions, systems, algebra, functions, loops, substeps, types, seldom)
+
+
+def indexed(a, u, t, dt, th):
+    return [a[:, 0], (1.0, 2.0, 3.0)[int(t) % 3] * th.w], SHAPE[:, :1], np.diag([th.q, th.q])
+
+
+def keyed(a, u, t, dt, th):
+    gain = {0.0: 1.0}.get(round(t), 2.0) + len(f"{th.w:.3f}")
+    return [a[:, 0], gain * th.w], SHAPE[:, :1], np.diag([th.q, th.q])
+
+
+def caught(a, u, t, dt, th):
+    try:
+        n = range(int(10 * th.w))
+    except Exception:  # noqa: BLE001 - as users write it
+        n = ()
+    return [a[:, 0], float(len(n))], SHAPE[:, :1], np.diag([th.q, th.q])
+
+
+REFUSED = (indexed, keyed, caught)
+
+
+def model_of(dynamics, **changed):
+    return MixedModel(
+        name=dynamics.__name__,
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.array([[theta.k]]), [[0.1]]),
+        initial=lambda theta: (Gaussian([0.1], [[1.0]]), [0.0], [[1.0]]),
+        nonlinear={"x": "1"},
+        linear={"z": "1"},
+        inputs={"u": "1", "v": "1"},
+        outputs={"y": "1"},
+        parameters=[
+            Parameter("w", 1.1, "1", (0.0, 9.0)),
+            Parameter("k", 0.4, "1", (0.0, 9.0)),
+            Parameter("q", 0.1, "1", (1e-9, 9.0)),
+        ],
+        **changed,
+    )
+
+
+def rows(seed, model, M=M):
+    rng = np.random.default_rng(seed)
+    thetas = np.asarray(model.theta()) * rng.uniform(0.6, 1.6, (M, 3))
+    u = rng.standard_normal((2, M))
+    return rng.standard_normal((M, 1)), u, rng.uniform(0.0, 10.0, M), 0.1, model.records(thetas)
+
+
+def alone(model, a, u, t, dt, theta):
+    """Every row in a call of its own, by the function itself."""
+    out = []
+    for i in range(len(a)):
+        own = model.record(np.array([v[i] if np.ndim(v) else v for v in theta]))
+        f, A, Q = model.dynamics(a[i : i + 1], u[:, i], float(t[i]), dt, own)
+        f = np.array(
+            [np.asarray(x).item() for x in np.asarray(f, dtype=object).ravel()], dtype=float
+        )
+        out.append((f, np.array(A, dtype=float), np.array(Q, dtype=float)))
+    return [np.array(x) for x in zip(*out, strict=True)]
+
+
+def assert_same(got, expected):
+    for x, y in zip(got, expected, strict=True):
+        x = np.broadcast_to(x, y.shape)
+        np.testing.assert_allclose(x, y, rtol=1e-11, atol=1e-13 * (1.0 + np.abs(y).max()))
+
+
+@pytest.mark.parametrize("written", WRITTEN, ids=lambda f: f.__name__)
+@settings(max_examples=8, deadline=None, derandomize=True, phases=[Phase.generate])
+@given(seed=st.integers(0, 10**6))
+def test_rows_are_what_they_are_alone(written, seed):
+    model = model_of(written)
+    for k in range(4):
+        given = rows(seed + k, model)
+        assert_same(model.transition(*given), alone(model, *given))
+    assert model.transitions.recorded
+
+
+@pytest.mark.parametrize("written", REFUSED, ids=lambda f: f.__name__)
+def test_what_becomes_an_index_or_a_text_is_called_row_by_row(written):
+    model = model_of(written)
+    for seed in range(3):
+        given = rows(seed, model)
+        assert_same(model.transition(*given), alone(model, *given))
+    assert not model.transitions.recorded
+
+
+@pytest.mark.parametrize("written", WRITTEN, ids=lambda f: f.__name__)
+def test_parameters_side_by_side_are_filtered_as_alone(written):
+    model = model_of(written)
+    rng = np.random.default_rng(3)
+    series = Series(rng.standard_normal(40), rng.standard_normal((40, 2)), dt=0.1)
+    thetas = np.asarray(model.theta()) * rng.uniform(0.9, 1.1, (5, 3))
+    got = moment_filter(model, thetas, series).log_likelihood
+    each = [moment_filter(replace(model), row[None], series).log_likelihood[0] for row in thetas]
+    np.testing.assert_allclose(got, each, rtol=1e-9)
+
+
+def test_few_calls_are_made_and_none_for_rows_that_were_met_before():
+    made = []
+
+    def dynamics(*given):
+        made.append(1)
+        return conditions(*given)
+
+    model = model_of(dynamics)
+    for seed in range(3):
+        model.transition(*rows(seed, model, 1000))
+    made.clear()
+    for seed in range(10, 14):
+        model.transition(*rows(seed, model, 1000))
+    assert len(made) < 60  # 4000 rows
+
+
+def test_a_way_that_is_met_late_is_recorded_then():
+    model = model_of(seldom)
+    a, u, t, dt, theta = rows(0, model)
+    for _ in range(3):
+        model.transition(a, np.clip(u, -2.0, 2.0), t, dt, theta)
+    u = np.clip(u, -2.0, 2.0)
+    u[0, 17] = 2.5
+    assert_same(model.transition(a, u, t, dt, theta), alone(model, a, u, t, dt, theta))
+
+
+def test_a_function_with_too_many_ways_is_called_row_by_row():
+    def dynamics(a, u, t, dt, th):
+        k = 0.0
+        while k < 50.0 * abs(u[0]):
+            k = k + 1.0
+        return [a[:, 0], k * th.w], SHAPE[:, :1], np.diag([th.q, th.q])
+
+    model = model_of(dynamics)
+    given = rows(0, model)
+    for _ in range(3):
+        assert_same(model.transition(*given), alone(model, *given))
+    assert not model.transitions.recorded
+
+
+def test_a_value_that_does_not_exist_is_told_as_the_function_tells_it():
+    def dynamics(a, u, t, dt, th):
+        return [math.sqrt(th.w - 1.0) * a[:, 0], 1.0], SHAPE[:, :1], np.diag([th.q, th.q])
+
+    model = model_of(dynamics)
+    a, u, t, dt, theta = rows(0, model)
+    theta = theta._replace(w=np.linspace(1.1, 2.0, M))
+    for _ in range(2):
+        model.transition(a, u, t, dt, theta)
+    assert model.transitions.recorded
+    lost = theta._replace(w=np.linspace(0.9, 2.0, M))
+    f, _, _ = model.transition(a, u, t, dt, lost)
+    assert np.isnan(f[:, 0]).tolist() == (lost.w < 1.0).tolist()
+    with pytest.raises(engine.errors.ModelError, match="math domain error"):
+        model.transition(a, u, t, dt, theta._replace(w=np.linspace(0.5, 0.9, M)))
+    assert_same(model.transition(a, u, t, dt, theta), alone(model, a, u, t, dt, theta))
+
+
+def test_what_a_function_is_not_given_may_change_between_passes():
+    """A constant of the script, changed on the way: it is looked at again whenever a record is."""
+    planet = SimpleNamespace(gravity=9.81)
+
+    def dynamics(a, u, t, dt, th):
+        return [a[:, 0] - 0.01 * planet.gravity, float(th.w)], SHAPE[:, :1], np.diag([th.q, th.q])
+
+    model = model_of(dynamics)
+    given = rows(0, model)
+    for _ in range(3):
+        model.transition(*given)
+    assert model.transitions.recorded
+    planet.gravity = 3.7
+    model.transitions.look_again()
+    assert_same(model.transition(*given), alone(model, *given))
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_differential_equations_of_numbers_are_recorded_too(hold):
+    def drift(a, u, t, th):
+        A = np.array([[1.0], [-th.k]])
+        return [0.0, u[0] - (th.w if u[1] > 0 else 0.5) * np.sin(a[:, 0])], A
+
+    model = engine.continuous(
+        name="pendulum",
+        drift=drift,
+        diffusion=lambda a, u, t, th: np.diag([0.0, th.q]),
+        **{
+            name: value
+            for name, value in vars(model_of(loops)).items()
+            if name
+            in ("measurement", "initial", "nonlinear", "linear", "inputs", "outputs", "parameters")
+        },
+    )
+    rng = np.random.default_rng(1)
+    series = Series(rng.standard_normal(30), rng.standard_normal((30, 2)), dt=0.1, hold=hold)
+    thetas = np.asarray(model.theta()) * rng.uniform(0.9, 1.1, (5, 3))
+    got = moment_filter(model, thetas, series).log_likelihood
+    each = [moment_filter(replace(model), row[None], series).log_likelihood[0] for row in thetas]
+    np.testing.assert_allclose(got, each, rtol=1e-9)
