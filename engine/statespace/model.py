@@ -33,9 +33,9 @@ What need not be written: anything about ``u``, ``t``, ``dt`` and ``theta`` may 
 ``if t > 5``, ``math.cos(theta.w)``, ``np.linalg.norm(u)``, ``np.diag([1e-4, theta.q])``. The engine also tries
 to call a function with many times, u (nu, M) and t (M,), and with many parameter vectors, arrays (M,)
 in ``theta``, and finds out by itself whether that gives the same. Where it does not, what the function does
-to one row is recorded and done to all (:mod:`engine.statespace.recorded`); where that is not possible either,
-each time or parameter vector is a call of its own, which is slower and as right. A function may write into ``a``,
-which is its own copy, and into nothing else it is given; see :mod:`engine.statespace.evaluation`.
+to one row is recorded and done to all (:mod:`engine.statespace.recorded`). Where that is not possible either,
+each time or parameter vector is a call of its own, which is slower and as right. A function may write into
+``a``, which is its own copy, and into nothing else it is given; see :mod:`engine.statespace.evaluation`.
 """
 
 from __future__ import annotations
