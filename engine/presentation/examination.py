@@ -29,7 +29,8 @@ from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
-from engine.views import Shown
+from engine.views import Shown, View, sheet, tables
+from engine.words import tidy
 
 AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
 
@@ -53,6 +54,23 @@ class Examination(Shown):
     def report(self, path: str | Path) -> Path:
         """Write one self-contained HTML file, which opens from disk and prints; returns its path."""
         return write_report(self.document, path)
+
+    def _view(self) -> View:
+        found = self.document
+        errors = [
+            (one["output"], one["rmse"], tidy(one["unit"]))
+            for one in found.get("held_out", {}).get("outputs", ())
+        ]
+        looked_at = found["examination"]["series"]
+        sentences = [
+            line for one in looked_at for line in one.get("sentences", [one.get("problem")])
+        ]
+        return sheet(
+            f"{found['model']['name']}: examined",
+            *map(tables().line, [found["message"], found["warning"], *sentences]),
+            tables().table(("output", "error on held-out data, rms", "unit"), errors),
+            tables().line("report(path) writes pictures and tables, to_dict() has the numbers."),
+        )
 
 
 @single_threaded

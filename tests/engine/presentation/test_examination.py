@@ -50,6 +50,17 @@ def test_the_document_of_an_estimate(series, found):
     assert one["residuals"]["z"]["y"][22] is None
 
 
+def test_what_is_printed_tells_what_was_found(series, found):
+    looked_at = engine.examine(found, series, test=Series(np.nan_to_num(series.y)))
+    text = " ".join(str(looked_at).split())
+    for sentence in looked_at.document["examination"]["series"][0]["sentences"]:
+        assert " ".join(sentence.split()) in text
+    assert found.message in text
+    error = looked_at.document["held_out"]["outputs"][0]["rmse"]
+    assert f"{error:.4g}" in text
+    assert "document" not in text
+
+
 def test_curves_are_those_of_the_kalman_filter(series, found):
     (one,) = examination(LINEAR, found.theta, [series])["series"]
     exact = engine.kalman_smoother(LINEAR, found.theta, series)
