@@ -49,7 +49,7 @@ from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
 from engine.ties import tied, ties_in_words, to_hold
-from engine.words import percent
+from engine.words import enumerated, percent
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
@@ -162,7 +162,7 @@ def standard_errors(
         seeds = seeds[:FEW_REPLICATES]
     centre = [every.at(every.x, which) for which in seeds]
     scores, H = np.array([g for g, _ in centre]), np.mean([h for _, h in centre], axis=0)
-    drawn = _drawn_inside(every, scores, np.diag(H))
+    drawn, beyond = _drawn_at_bounds(every, scores, np.diag(H))
     scores, H = scores[:, within], H[np.ix_(within, within)]
     silent = [name for name, h in zip(names, np.diag(H), strict=True) if not h > 0.0]
     if silent:
@@ -207,6 +207,7 @@ def standard_errors(
         said,
         ties_in_words(names, directions),
         said_of_bounds(at_bound),
+        _said_of_stopped(beyond),
         _said_of_noise(relative),
     )
     return StandardErrors(
@@ -323,13 +324,26 @@ def _surely_away(scores: Array, information: Array) -> float:
     return float((mean[far] ** 2 / information[far]).max(initial=0.0))
 
 
-def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:
-    """Names of parameters at a bound from which the likelihood clearly draws them away."""
+def _drawn_at_bounds(
+    score: Score, scores: Array, information: Array
+) -> tuple[list[str], list[str]]:
+    """Names of parameters at a bound from which the likelihood clearly draws them away, and beyond it."""
     lower, upper = score.bounds
     mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(len(scores))
     inward = np.where(score.x <= lower, mean, np.where(score.x >= upper, -mean, 0.0))
-    far = inward - 2.0 * noise > SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
-    return [name for name, yes in zip(score.names, far, strict=True) if yes and len(scores)]
+    clearly = 2.0 * noise + SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
+    names = np.array(score.names)
+    return names[inward > clearly].tolist(), names[-inward > clearly].tolist()
+
+
+def _said_of_stopped(names: Sequence[str]) -> str:
+    """A sentence about parameters that the likelihood draws beyond their bounds."""
+    if not names:
+        return ""
+    return (
+        f"The data draw {enumerated(list(names))} beyond the bound: the errors of the others are right only if "
+        "the bound is, as a variance held too small makes them too small."
+    )
 
 
 def _said_of_noise(relative: Array) -> str:

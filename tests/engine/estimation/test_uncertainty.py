@@ -445,13 +445,32 @@ def test_a_bound_that_the_likelihood_draws_away_from_is_named():
 def test_how_strongly_a_bound_must_be_left(x, sign):
     """Half a standard error of complete data, beyond the noise of the score."""
     score = SimpleNamespace(x=np.array([x]), bounds=(np.zeros(1), np.ones(1)), names=("k",))
-    for pull, named in ((6.0, ["k"]), (4.0, []), (-6.0, [])):
+    for pull, inside, beyond in ((6.0, ["k"], []), (4.0, [], []), (-6.0, [], ["k"])):
         scores = np.full((4, 1), sign * pull)
-        assert observed._drawn_inside(score, scores, np.array([100.0])) == named
+        assert observed._drawn_at_bounds(score, scores, np.array([100.0])) == (inside, beyond)
     noisy = sign * np.array([[0.0], [12.0]])
-    assert observed._drawn_inside(score, noisy, np.array([100.0])) == []
+    assert observed._drawn_at_bounds(score, noisy, np.array([100.0])) == ([], [])
     score.x = np.array([0.5])
-    assert observed._drawn_inside(score, np.full((4, 1), 9.0), np.array([100.0])) == []
+    assert observed._drawn_at_bounds(score, np.full((4, 1), 9.0), np.array([100.0])) == ([], [])
+
+
+def test_errors_beside_a_variance_that_its_bound_keeps_too_small_say_so():
+    model = engine.get_model("local-level")
+    series = engine.simulate(model, None, 200, np.random.default_rng(0)).series
+    best = quasi_ml(model, series, free=["q", "r"]).theta
+    narrow = [
+        replace(p, bounds=(p.bounds[0], 0.3 * best["r"]), default=0.2 * best["r"])
+        if p.name == "r"
+        else p
+        for p in model.parameters
+    ]
+    bounded = model.with_parameters(narrow)
+    found = engine.rts_em(bounded, series, free=["q", "r"])
+    assert found.theta["r"] == pytest.approx(0.3 * best["r"])
+    errors = engine.standard_errors(bounded, found.theta, series, ["q", "r"], exact=True)
+    assert "The data draw r beyond the bound" in errors.warning
+    free = engine.standard_errors(model, best, series, ["q", "r"], exact=True)
+    assert "beyond the bound" not in free.warning
 
 
 def test_intervals_about_another_maximum_say_so(top):
