@@ -56,6 +56,7 @@ from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError
+from engine.estimation.long_steps import about_predictions
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
@@ -268,6 +269,9 @@ def diagnose(  # noqa: PLR0913
             f"steps a sample: the sizes are those of {fine.k}."
         )
 
+    if fine.finer and not judged.causes:
+        too_long = about_predictions(model, np.asarray(judged.before.theta), [fine.records.train])
+        notes.extend([too_long] if too_long else [])
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
     clock.start("symptoms")
     symptoms = find_symptoms(

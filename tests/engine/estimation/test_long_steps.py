@@ -49,6 +49,14 @@ def test_standard_errors_say_so():
     assert TOO_LONG in errors._repr_html_().replace("&#x27;", "'").replace("&#39;", "'")
 
 
+def test_a_diagnosis_that_finds_nothing_says_so():
+    """Its own steps are short enough for effects, and not for the parameters that it shows."""
+    found = engine.diagnose(pendulum(), swings(), effects=["bias"], held_out=0)
+    assert not found.causes
+    assert found.substeps > 1
+    assert any("one-step predictions change by " in note for note in found.notes)
+
+
 def test_exact_em_says_nothing_of_exact_steps():
     model = engine.get_model("oscillator")
     series = engine.simulate(model, None, 60, np.random.default_rng(0), u=np.ones(60), dt=0.3)
