@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from engine.data.files import is_channel
 from engine.data.series import Series
 from engine.data.stamps import candidates, column_counts, like_times
-from engine.data.tables import Table
+from engine.data.table import Table
 from engine.statespace.base import BaseModel
 from engine.units import alike, unknown_unit
 

@@ -10,7 +10,7 @@ import numpy as np
 from engine.data.clock import times_in, times_of
 from engine.data.files import READERS
 from engine.data.stamps import candidates, counts, holds_dates
-from engine.data.tables import Table
+from engine.data.table import Table
 from engine.errors import SeriesError
 from engine.statespace.model import Array
 from engine.units import SECOND, clock_of

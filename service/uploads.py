@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from engine.data.channels import check_units
 from engine.data.files import read_table, series_from
-from engine.data.tables import Table
+from engine.data.table import Table
 from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel

@@ -35,10 +35,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.arrays import Array
+from engine.data.array_files import read_mat, read_npz
+from engine.data.csv_files import read_csv
 from engine.data.doubts import days_of_spreadsheet, set_forward
 from engine.data.series import Series
 from engine.data.stamps import candidates, like_times
-from engine.data.tables import Table, read_csv, read_mat, read_npz
+from engine.data.table import Table
 from engine.errors import OptionError, ReadingWarning, SeriesError
 from engine.units import (
     SECOND,

@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.clock import date_of, times_in
-from engine.data.tables import Table
+from engine.data.table import Table
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
 

@@ -14,7 +14,7 @@ from engine.data.channels import check_units
 from engine.data.files import read_table, series_from
 from engine.data.series import Series
 from engine.data.stamps import candidates
-from engine.data.tables import Table
+from engine.data.table import Table
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
 from service.cli.ending import wrong

@@ -9,9 +9,9 @@ import pytest
 
 import engine
 from engine.data import nile
+from engine.data.csv_files import read_csv
 from engine.data.files import write_series
 from engine.data.stamps import counts
-from engine.data.tables import read_csv
 from engine.diagnose import hide
 from service.auth import digest_of
 from service.cli.new import write as write_model

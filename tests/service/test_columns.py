@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from engine import get_model
-from engine.data.tables import read_csv, read_npz
+from engine.data.array_files import read_npz
+from engine.data.csv_files import read_csv
 from service.cli.files import Columns, series_of
 from service.cli.references import model_of
 from service.columns import match

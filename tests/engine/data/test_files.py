@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from engine.data import nile
+from engine.data.array_files import read_mat
 from engine.data.files import read_series, read_table, series_from, write_series
 from engine.data.series import Series
-from engine.data.tables import read_mat
 from engine.errors import ReadingWarning, SeriesError
 
 
@@ -373,7 +373,7 @@ def test_a_file_that_crashes_scipy_s_reader_crashes_nobody_else(
     """Damaged bytes made it read memory that is not its own, in what was then the service itself."""
     crashing = tmp_path / "crashing.py"
     crashing.write_text(program)
-    monkeypatch.setattr("engine.data.tables.MAT_TO_NPZ", crashing)
+    monkeypatch.setattr("engine.data.array_files.MAT_TO_NPZ", crashing)
     with pytest.raises(SeriesError, match=words):
         read_series_bytes(FILES["a.mat"], "a.mat")
 

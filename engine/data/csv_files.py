@@ -1,0 +1,222 @@
+"""A CSV to columns: whatever parts its cells and decimals, with units and comments at its head."""
+
+from __future__ import annotations
+
+import csv
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+
+from engine.data.clock import date_of
+from engine.data.table import DATED, MISSING, Table, is_number
+from engine.errors import SeriesError
+from engine.units import clock_of, is_unit, named_with_unit
+
+# Comments at the head of a CSV.
+HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
+TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
+# Which count before the others: a comma may stand in a name or a number.
+DELIMITERS = (";", "\t", ",")
+EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # the first line of its files, which it hides
+LOOKED_AT = 100  # rows, for the delimiter
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # or three decimals
+LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
+_TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mark left open?"
+
+
+def read_csv(data: bytes, file: str) -> Table:
+    """A CSV with one header line; delimiter comma, semicolon or tab; leading # lines skipped.
+
+    Where commas do not part cells they may be those of decimals. Units may have a second line of their own.
+    """
+    wide = data.startswith((BOM_UTF16_LE, BOM_UTF16_BE))  # as Excel's "Unicode text" does
+    try:
+        text = data.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        kind = "UTF-16" if wide else "UTF-8"
+        raise SeriesError(
+            f"{file}, line {line}: not {kind} text; save the file as UTF-8"
+        ) from error
+    if "\0" in text:
+        raise SeriesError(f"{file} is not a text file; a CSV is needed")
+    lines = text.splitlines()
+    first = 0
+    while first < len(lines) and (not lines[first].strip() or lines[first].startswith("#")):
+        first += 1
+    if first == len(lines):
+        raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    hold, time_unit = (
+        [found[1] for line in lines[:first] if (found := what.fullmatch(line.strip()))]
+        for what in (HOLD, TIME_UNIT)
+    )
+    last = len(lines)
+    while not lines[last - 1].strip():  # the file's end, however many lines it has
+        last -= 1
+    if told := EXCEL.fullmatch(lines[first].strip(" ")):
+        if told[1] not in DELIMITERS:
+            raise SeriesError(
+                f"{file}, line {first + 1}: separated by '{told[1]}'; a comma, semicolon or tab is needed"
+            )
+        first += 1
+        if first >= last:
+            raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    delimiter = told[1] if told else _delimiter(lines[first:last])
+    below = _names_below(lines, first, last)
+    reader = csv.reader(lines[first:last], delimiter=delimiter)
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    try:
+        each = _short_cells(reader)
+        names = [name.strip() for name in next(each)]
+        # Lines may end with delimiters; columns without a name and a value are none.
+        named = len(names)
+        while named > 1 and not names[named - 1]:
+            named -= 1
+        _check_header(names[:named], file, first + 1, below)
+        for row in each:
+            # An empty line is a missing value where there is one column, nothing otherwise.
+            if not row and len(names) == 1:
+                row = [""]
+            if not row:
+                continue
+            if len(row) != len(names):
+                raise _ragged(row, names, file, first + reader.line_num, below)
+            for i in range(named, len(row)):
+                if row[i].strip():
+                    raise _nameless(i, file, first + 1, below)
+            rows.append(row[:named])
+            numbers.append(first + reader.line_num)
+    except csv.Error as error:
+        reason = _TOO_LONG if "field limit" in str(error) else str(error)
+        raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
+    names = names[:named]
+    if rows and (units := _units_in(rows[0])):
+        names = [
+            f"{name} [{unit}]" if unit and not named_with_unit(name)[1] else name
+            for name, unit in zip(names, units, strict=True)
+        ]
+        del rows[0], numbers[0]
+    if not rows:
+        raise SeriesError(f"{file} has a header and no rows of numbers")
+    if delimiter != "," and _has_decimal_commas(rows):
+        rows = [[_pointed(cell) for cell in row] for row in rows]
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    table.hold = hold[-1] if hold else None
+    table.time_unit = time_unit[-1] if time_unit else None
+    return table
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """That by which most of the first rows have as many cells as the header, which has several."""
+
+    def agreeing(delimiter: str) -> int:
+        try:
+            rows = [row for row in islice(csv.reader(lines, delimiter=delimiter), LOOKED_AT) if row]
+        except csv.Error:  # is told where the rows are read
+            return 0
+        return sum(len(row) == len(rows[0]) > 1 for row in rows)
+
+    best = max(DELIMITERS, key=agreeing)
+    return best if agreeing(best) else ","
+
+
+def _units_in(row: Sequence[str]) -> list[str]:
+    """The units that a second line of the header holds; empty where a cell is anything else."""
+    units = [re.sub(r"^[\[(]\s*(.*?)\s*[\])]$", r"\1", cell.strip()) for cell in row]
+    if not all(unit in ("", "-") or _is_unit(unit) for unit in units):
+        return []
+    return ["" if unit == "-" else unit for unit in units] if any(map(_is_unit, units)) else []
+
+
+def _is_unit(text: str) -> bool:
+    return text.lower() not in MISSING and (is_unit(text) or clock_of(text) != "")
+
+
+def _has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:
+    """Whether commas in the cells are those of decimals, of which one at least cannot part thousands.
+
+    False where a number has a decimal point.
+    """
+    surely = False
+    for row in rows:
+        for cell in row:
+            if "," in cell:
+                surely = surely or (
+                    DECIMAL_COMMA.fullmatch(cell) is not None and THOUSANDS.fullmatch(cell) is None
+                )
+            elif "." in cell and is_number(cell.strip()):
+                return False
+    return surely
+
+
+def _pointed(cell: str) -> str:
+    return cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
+
+
+def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:
+    for row in rows:
+        if any(len(cell) > LONGEST_CELL for cell in row):
+            raise csv.Error(_TOO_LONG)
+        yield row
+
+
+def _names_below(lines: Sequence[str], first: int, last: int) -> str:
+    """A hint where not the first line has the names of the columns but one below, as loggers write them."""
+    head = lines[first : min(first + LOOKED_AT, last)]
+    for i, line in enumerate(head[:-1]):
+        for delimiter in DELIMITERS:
+            names, row = (text.split(delimiter) for text in (line, head[i + 1]))
+            if len(names) > 1 and len(row) == len(names) and _are_names(names) and _are_values(row):
+                return (
+                    f"; if line {first + i + 1} has the names, delete the lines above it"
+                    if i
+                    else ""
+                )
+    return ""
+
+
+def _are_names(cells: Sequence[str]) -> bool:
+    names = [cell.strip(' "') for cell in cells]
+    return all(names) and len(set(names)) == len(names) and not any(map(is_number, names))
+
+
+def _are_values(cells: Sequence[str]) -> bool:
+    """Whether cells are those of a row: numbers, dates and empty ones, and one number at least."""
+    told = [cell.strip(' "') for cell in cells]
+    numbers = [is_number(_pointed(cell)) and cell.lower() not in MISSING for cell in told]
+    return any(numbers) and all(
+        number or cell.lower() in MISSING or date_of(cell) is not None or DATED.match(cell)
+        for number, cell in zip(numbers, told, strict=True)
+    )
+
+
+def _nameless(column: int, file: str, line: int, hint: str) -> SeriesError:
+    return SeriesError(f"{file}, line {line}: column {column + 1} has no name{hint}")
+
+
+def _check_header(names: list[str], file: str, line: int, hint: str) -> None:
+    if all(is_number(name) for name in names if name) and any(names):
+        raise SeriesError(
+            f"{file}, line {line}: the first line holds numbers; it must name the columns, "
+            "like t,u,y"
+        )
+    for i, name in enumerate(names):
+        if not name and len(names) > 1:
+            raise _nameless(i, file, line, hint)
+        if names.count(name) > 1:
+            raise SeriesError(f"{file}, line {line}: two columns are named '{name}'{hint}")
+
+
+def _ragged(row: list[str], names: list[str], file: str, line: int, below: str) -> SeriesError:
+    hint = below
+    if not hint and len(row) == 2 * len(names):
+        hint = "; are these decimal commas? write decimal points, or separate by semicolons"
+    elif not hint and len(row) > len(names) and not any(map(str.strip, row[len(names) :])):
+        hint = "; the line ends with a separator, and that of the names does not"
+    return SeriesError(
+        f"{file}, line {line}: {len(row)} cells for {len(names)} columns ({', '.join(names)}){hint}"
+    )
