@@ -13,9 +13,9 @@ HOUR, DAY = 3600.0, 86400.0
 SUNDAY = 6
 LATEST = 3  # o'clock, at which clocks are set forward somewhere
 # Of a spreadsheet, which counts days: 1982 to 2064, in steps of so many seconds. Taken for seconds they are
-# 288 Hz and more, at frequencies that no recorder has.
+# 24 Hz and more, at frequencies that few recorders have; steps of a day would be seconds.
 DAYS = (30_000.0, 60_000.0)
-USUAL_STEPS = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300)
+USUAL_STEPS = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1800, 3600)
 STEP_ERROR = 2e-4  # of the mean step, as days are rounded
 
 

@@ -578,9 +578,10 @@ def test_days_of_a_spreadsheet(tmp_path):
     def read(times, name="time"):
         return read_series(of(tmp_path, f"{name},y\n" + "".join(f"{t!r},1\n" for t in times)))
 
-    days = [round(45382.0 + k * 10.0 / 86400.0, 7) for k in range(50)]
-    with pytest.warns(ReadingWarning, match="look like days of a spreadsheet, one row every 10 s"):
-        read(days)
+    for step in (10, 600, 3600):
+        days = [round(45382.0 + k * step / 86400.0, 7) for k in range(50)]
+        with pytest.warns(ReadingWarning, match=f"days of a spreadsheet, one row every {step} s"):
+            read(days)
     assert read(days, "time [day]").time_unit == "day"
     for dt in (1e-4, 1e-3, 0.01, 0.02, 1.0 / 60.0, 1.0 / 1024.0, 1.0 / 12800.0, 1.0, 10.0):
         read([45382.0 + k * dt for k in range(50)])  # seconds of a day
