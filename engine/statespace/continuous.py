@@ -30,7 +30,7 @@ import numpy as np
 from engine.errors import ModelError
 from engine.kernels.local_linearization import beside, difference_quotients, step_of
 from engine.statespace.model import Array, MixedModel
-from engine.statespace.reads import reads
+from engine.statespace.reads import loops, reads
 from engine.statespace.recorded import Recorded
 from engine.statespace.rows import frozen, is_rows
 from engine.statespace.shapes import as_matrix, as_rows, is_symmetric, stacked
@@ -205,8 +205,21 @@ class _Discretized:
 
     def reads_argument(self, position: int) -> bool:
         """Of a, u and t what any of its functions reads; the others it reads itself."""
-        own = (self.drift, self.diffusion, self.jacobian)
-        return position > TIME or any(f is not None and reads(f, position) for f in own)
+        return position > TIME or any(reads(f, position) for f in self._written)
+
+    def has_loops(self) -> bool:
+        """Whether any of its functions has one."""
+        return any(map(loops, self._written))
+
+    @property
+    def goes_by_rows(self) -> bool:
+        """Whether any of what was recorded looks at one particle after the other."""
+        return any(getattr(f, "goes_by_rows", False) for f in self._written)
+
+    @property
+    def _written(self) -> list[Any]:
+        """What the user wrote."""
+        return [f for f in (self.drift, self.diffusion, self.jacobian) if f is not None]
 
     @cached_property
     def sizes(self) -> Array:

@@ -30,6 +30,7 @@ else, it is decided which calls a function takes:
 
 from __future__ import annotations
 
+import contextlib
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -39,9 +40,9 @@ import numpy as np
 
 from engine.errors import EngineError, ModelError
 from engine.statespace.affine import Affine
-from engine.statespace.compare import Result, copies, joined
+from engine.statespace.compare import Result, copies, differ, joined, sizes_of
 from engine.statespace.plan import Plan, plan_of
-from engine.statespace.reads import reads
+from engine.statespace.reads import loops, reads
 from engine.statespace.recorded import NotByRowsError, by_rows
 from engine.statespace.refutation import (
     calls_split,
@@ -87,6 +88,11 @@ class _Verdict:
         self.ranges: Array | None = None  # of inputs and times of the calls so far, see _ranges
         self.due = self.next = 1  # ``due`` is the next call to be looked at thoroughly
 
+    def restart(self, trial: Trial) -> None:
+        """Make calls otherwise from this one on, which is looked at."""
+        self.trial, self.takes, self.calls = trial, True, 1
+        self.due = self.next = 1
+
     def refuse(self) -> None:
         """No, for good."""
         self.takes, self.next = False, 0
@@ -111,7 +117,9 @@ class ModelFunction:
         self._trusted = getattr(function, "hands_rows_on", False)
         self._regular = regular(function)
         self._trial = Trial(self._regular, bounds)
-        self._recorded = Trial(self._regular, bounds, regular(by_rows(function, shapes)))
+        self._program = by_rows(function, shapes)
+        self._recorded = Trial(self._regular, bounds, regular(self._program))
+        self._looped = loops(function)  # until it is known whether over its rows
         self.model, self.name = model, name
         self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict(self._trial)}
         # the last record, what differs in it, the number of its rows (0: any), the verdict on it
@@ -162,7 +170,7 @@ class ModelFunction:
         try:  # as a filter calls it at every time step
             out = verdict.trial.together(a.copy(), u, t, dt, theta)
         except NotByRowsError as error:
-            if error.here:
+            if error.here and kind is not None:
                 return self._part_by_part(self._plan_of(a, u, t, dt, theta, kind), a, u, t, dt)
             return self._otherwise(Rows(a, u, t, dt, theta), kind, verdict, error)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
@@ -238,6 +246,8 @@ class ModelFunction:
         """Together if that is right, else each time and theta by itself."""
         if kind is not None and not (verdict.takes or self._may_be_recorded(verdict, rows.a)):
             return self._apart(rows, kind)
+        if kind is None and self._looped and len(rows.a) > 1:
+            self._look_at_loop(verdict, rows)
         together: Result | None
         try:
             if len(rows.a) == 1 and not self._trial.tried_single:
@@ -270,6 +280,14 @@ class ModelFunction:
             if verdict.calls > 1:
                 count_refutation()
             return out
+        if verdict.trial is self._recorded:
+            if not (isinstance(error, NotByRowsError) and error.here):
+                verdict.restart(self._trial)
+                return self._with_care(rows, kind, verdict)
+            try:
+                return copies(self._regular(*rows.fresh()))
+            except Exception as own:  # noqa: BLE001 - a user's function may raise anything
+                error = own
         if error is not None:
             self._fail(error, rows)
         raise ModelError(
@@ -284,9 +302,18 @@ class ModelFunction:
         affine = self._affine is not None and self._affine.holds and not a.shape[1]
         if affine or verdict.trial is self._recorded:
             return False
-        verdict.trial, verdict.takes = self._recorded, True
-        verdict.calls, verdict.due, verdict.next = 0, 1, 1
+        verdict.restart(self._recorded)
         return True
+
+    def _look_at_loop(self, verdict: _Verdict, rows: Rows) -> None:
+        """Turn to what was recorded of a function that goes through the particles in a loop of its own."""
+        self._looped = False
+        with contextlib.suppress(Exception):  # the function itself will do
+            recorded = self._recorded.together(*rows.fresh())
+            if self._program.goes_by_rows:
+                own = self._regular(*rows.fresh())
+                if not differ(recorded, own, sizes_of(own), particles=True):
+                    verdict.restart(self._recorded)
 
     def once(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """One call with what is given, without a test; whatever the function raises."""

@@ -1,4 +1,4 @@
-"""Whether a function reads one of its arguments at all, told from its byte code.
+"""Whether a function reads one of its arguments at all, or has a loop, told from its byte code.
 
 What a function never loads it cannot depend on: this is a proof, where calls can only give examples. Where
 the code does not tell, the argument counts as read. Functions of the engine's own are told which parameters
@@ -39,6 +39,21 @@ def reads(function: Any, position: int) -> bool:
         if "FAST" in step.opname
     )
     return any(name in names for names in named)
+
+
+def loops(function: Any) -> bool:
+    """Whether there is a loop in a function's own code, as one over its rows would be."""
+    told = getattr(function, "has_loops", None)
+    if told is not None:
+        return bool(told())
+    code = getattr(getattr(function, "__func__", function), "__code__", None)
+    return code is not None and _has_loop(code)
+
+
+def _has_loop(code: Any) -> bool:
+    inner = (const for const in code.co_consts if hasattr(const, "co_consts"))
+    own = (step.opname for step in dis.get_instructions(code))
+    return any(name == "FOR_ITER" for name in own) or any(map(_has_loop, inner))
 
 
 def reading(n: int, function: Any) -> Any:

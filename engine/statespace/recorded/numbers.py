@@ -41,6 +41,8 @@ class Recorder:
         self.constants: dict[int, Any] = {}
         self.known: dict[int, bool] = {}  # conditions met already
         self.values = 0
+        self.of_states: set[int] = set()  # values that depend on nonlinear states
+        self.goes_by_rows = False  # whether it takes one of those out of an array
         self.open = True
 
     def check_open(self) -> None:
@@ -49,6 +51,12 @@ class Recorder:
             raise TypeError(
                 "a number from an earlier call, of which the function may remember nothing"
             )
+
+    def taken_out(self, *numbers: Any) -> None:
+        """Numbers that are worked with by themselves, where arrays of them would be as well."""
+        self.goes_by_rows = self.goes_by_rows or any(
+            isinstance(x, Traced) and x.index in self.of_states for x in numbers
+        )
 
     def number(self, value: Any) -> Traced:
         """An argument of the function, or a result."""
@@ -71,12 +79,15 @@ class Recorder:
         value = function(*(x.value if isinstance(x, Traced) else x for x in operands))
         of = tuple(x.index if isinstance(x, Traced) else self.constant(x) for x in operands)
         out = self.number(value)
+        if not self.of_states.isdisjoint(of):
+            self.of_states.add(out.index)
         self.done.append(Operation(function, of, out.index))
         return out
 
     def condition(self, x: Traced) -> bool:
         """Whether a number counts as true, in this row."""
         self.check_open()
+        self.taken_out(x)
         if x.index not in self.known:
             self.known[x.index] = bool(x.value)
             self.done.append(Condition(x.index, bool(x.value)))
@@ -278,6 +289,7 @@ def _binary(ufunc: np.ufunc, back: bool) -> Callable[[Any, Any], Any]:
         pair = (other, self) if back else (self, other)
         if isinstance(other, np.ndarray):
             return applied(ufunc, "__call__", pair, {})
+        self.recorder.taken_out(*pair)
         return record(ufunc, pair)
 
     return method

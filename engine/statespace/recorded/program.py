@@ -77,6 +77,7 @@ class Recorded:
         self._first: dict[Any, Path] = {}
         self._paths = self._lost = self._longest = 0
         self._counts = False  # whether it makes something of the time step that is no number
+        self.goes_by_rows = False  # whether it looks at one particle after the other
 
     def __call__(self, a: Array, u: Any, t: Any, *others: Any) -> Any:
         """The results of all rows."""
@@ -189,6 +190,7 @@ class Recorded:
             raise NotByRowsError(here=False)
         recorder = Recorder()
         numbers = [recorder.number(float(x[row]) if is_rows(x) else x) for x in given]
+        recorder.of_states.update(range(na))
         a = np.array(numbers[:na], dtype=object).reshape(1, na).view(TracedArray)
         u = None if key[0] else np.array(numbers[na : na + nu], dtype=object).view(TracedArray)
         rest = iter(numbers[na + nu :])
@@ -210,6 +212,7 @@ class Recorded:
         finally:
             recorder.open = False
         self._paths += 1
+        self.goes_by_rows = self.goes_by_rows or recorder.goes_by_rows
         self._longest = max(self._longest, recorder.values)
         path = _chain(recorder, outputs)
         first = self._first.setdefault(key, path)

@@ -148,7 +148,7 @@ def model_of(dynamics, **changed):
     )
 
 
-def rows(seed, model, M=M):
+def rows_of(seed, model, M=M):
     rng = np.random.default_rng(seed)
     thetas = np.asarray(model.theta()) * rng.uniform(0.6, 1.6, (M, 3))
     u = rng.standard_normal((2, M))
@@ -180,7 +180,7 @@ def assert_same(got, expected):
 def test_rows_are_what_they_are_alone(written, seed):
     model = model_of(written)
     for k in range(4):
-        given = rows(seed + k, model)
+        given = rows_of(seed + k, model)
         assert_same(model.transition(*given), alone(model, *given))
     assert model.transitions.recorded
 
@@ -189,7 +189,7 @@ def test_rows_are_what_they_are_alone(written, seed):
 def test_what_becomes_an_index_or_a_text_is_called_row_by_row(written):
     model = model_of(written)
     for seed in range(3):
-        given = rows(seed, model)
+        given = rows_of(seed, model)
         assert_same(model.transition(*given), alone(model, *given))
     assert not model.transitions.recorded
 
@@ -214,16 +214,16 @@ def test_few_calls_are_made_and_none_for_rows_that_were_met_before():
 
     model = model_of(dynamics)
     for seed in range(3):
-        model.transition(*rows(seed, model, 1000))
+        model.transition(*rows_of(seed, model, 1000))
     made.clear()
     for seed in range(10, 14):
-        model.transition(*rows(seed, model, 1000))
+        model.transition(*rows_of(seed, model, 1000))
     assert len(made) < 60  # 4000 rows
 
 
 def test_a_way_that_is_met_late_is_recorded_then():
     model = model_of(seldom)
-    a, u, t, dt, theta = rows(0, model)
+    a, u, t, dt, theta = rows_of(0, model)
     for _ in range(3):
         model.transition(a, np.clip(u, -2.0, 2.0), t, dt, theta)
     u = np.clip(u, -2.0, 2.0)
@@ -239,7 +239,7 @@ def test_a_function_with_too_many_ways_is_called_row_by_row():
         return [a[:, 0], k * th.w], SHAPE[:, :1], np.diag([th.q, th.q])
 
     model = model_of(dynamics)
-    given = rows(0, model)
+    given = rows_of(0, model)
     for _ in range(3):
         assert_same(model.transition(*given), alone(model, *given))
     assert not model.transitions.recorded
@@ -250,7 +250,7 @@ def test_a_value_that_does_not_exist_is_told_as_the_function_tells_it():
         return [math.sqrt(th.w - 1.0) * a[:, 0], 1.0], SHAPE[:, :1], np.diag([th.q, th.q])
 
     model = model_of(dynamics)
-    a, u, t, dt, theta = rows(0, model)
+    a, u, t, dt, theta = rows_of(0, model)
     theta = theta._replace(w=np.linspace(1.1, 2.0, M))
     for _ in range(2):
         model.transition(a, u, t, dt, theta)
@@ -271,13 +271,72 @@ def test_what_a_function_is_not_given_may_change_between_passes():
         return [a[:, 0] - 0.01 * planet.gravity, float(th.w)], SHAPE[:, :1], np.diag([th.q, th.q])
 
     model = model_of(dynamics)
-    given = rows(0, model)
+    given = rows_of(0, model)
     for _ in range(3):
         model.transition(*given)
     assert model.transitions.recorded
     planet.gravity = 3.7
     model.transitions.look_again()
     assert_same(model.transition(*given), alone(model, *given))
+
+
+def looped(a, u, t, dt, th):
+    """As somebody writes it who thinks of one particle after the other."""
+    rows = []
+    for (x,) in a:
+        flow = th.k * (x - th.w) if x > th.w else 0.0
+        rows.append([x - dt * flow + u[0], min(x, 1.0)])
+    return np.array(rows), SHAPE[:, :1], np.diag([th.q, th.q])
+
+
+def test_a_loop_over_particles_is_gone_through_once():
+    made = []
+
+    def dynamics(a, u, t, dt, th):
+        made.append(len(a))
+        return looped(a, u, t, dt, th)
+
+    rng = np.random.default_rng(0)
+    for written in (dynamics, looped):
+        model = model_of(written)
+        record = model.record(model.theta())
+        for k in range(40):
+            a, u = 2.0 * rng.standard_normal((100, 1)), rng.standard_normal(2)
+            f, _, _ = model.transition(a, u, 0.1 * k, 0.1, record)
+            np.testing.assert_allclose(f, looped(a, u, 0.1 * k, 0.1, record)[0], rtol=1e-12)
+        given = rows_of(0, model)
+        assert_same(model.transition(*given), alone(model, *given))
+    assert model.transitions.recorded
+    assert sum(made) > 4000  # a loop in another function is not looked for
+
+
+def test_a_loop_over_states_is_none_over_particles():
+    def dynamics(a, u, t, dt, th):
+        f = [a[:, i] * th.w for i in range(1)]
+        return (
+            [*f, a[:, 0] @ a[:, 0] * 0.0 + 1.0 if len(a) < 0 else 1.0],
+            SHAPE[:, :1],
+            np.diag([th.q] * 2),
+        )
+
+    model = model_of(dynamics)
+    for k in range(4):
+        model.transition(np.ones((9, 1)) * k, np.ones(2), 0.0, 0.1, model.record(model.theta()))
+    assert not model.transitions.recorded
+
+
+def test_particles_that_influence_each_other_in_a_loop_are_refused():
+    def dynamics(a, u, t, dt, th):
+        total, rows = 0.0, []
+        for (x,) in a:
+            total = total + x
+            rows.append([total, 1.0])
+        return np.array(rows), SHAPE[:, :1], np.diag([th.q, th.q])
+
+    model = model_of(dynamics)
+    given = np.arange(9.0)[:, None], np.ones(2), 0.0, 0.1, model.record(model.theta())
+    with pytest.raises(engine.errors.ModelError, match="depends on the other rows"):
+        model.transition(*given)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
