@@ -53,6 +53,7 @@ from engine.statespace.refutation import (
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, UnrepeatedError, is_numeric
 
+MANY = 30  # particles that a loop over them takes longer for than what was recorded of it
 INPUT, TIME = 1, 2  # positions of u and t among the arguments of dynamics and of measurement
 ENGINE = str(Path(__file__).parents[1])  # this package's own files
 
@@ -116,7 +117,7 @@ class ModelFunction:
     ) -> None:
         self._trusted = getattr(function, "hands_rows_on", False)
         self._regular = regular(function)
-        self._trial = Trial(self._regular, bounds)
+        self._bounds, self._trial = bounds, Trial(self._regular, bounds)
         self._program = by_rows(function, shapes)
         self._recorded = Trial(self._regular, bounds, regular(self._program))
         self._looped = loops(function)  # until it is known whether over its rows
@@ -280,7 +281,7 @@ class ModelFunction:
             if verdict.calls > 1:
                 count_refutation()
             return out
-        if verdict.trial is self._recorded:
+        if verdict.trial is not self._trial:
             if not (isinstance(error, NotByRowsError) and error.here):
                 verdict.restart(self._trial)
                 return self._with_care(rows, kind, verdict)
@@ -313,7 +314,12 @@ class ModelFunction:
             if self._program.goes_by_rows:
                 own = self._regular(*rows.fresh())
                 if not differ(recorded, own, sizes_of(own), particles=True):
-                    verdict.restart(self._recorded)
+                    verdict.restart(Trial(self._regular, self._bounds, self._as_many))
+
+    def _as_many(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
+        """Particles of a function with a loop over them, by the loop itself where they are few."""
+        call = self._regular if len(a) < MANY else self._recorded.together
+        return call(a, u, t, dt, theta)
 
     def once(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """One call with what is given, without a test; whatever the function raises."""
@@ -347,7 +353,7 @@ class ModelFunction:
     @property
     def recorded(self) -> bool:
         """Whether some rows are evaluated by what was recorded of the function."""
-        return any(one.trial is self._recorded and one.takes for one in self._verdicts.values())
+        return any(one.trial is not self._trial and one.takes for one in self._verdicts.values())
 
     def look_again(self, u: Array | None = None) -> None:
         """Look at the next call of each kind, briefly unless a thorough look is due; not at particles.
