@@ -362,3 +362,14 @@ def test_differential_equations_of_numbers_are_recorded_too(hold):
     got = moment_filter(model, thetas, series).log_likelihood
     each = [moment_filter(replace(model), row[None], series).log_likelihood[0] for row in thetas]
     np.testing.assert_allclose(got, each, rtol=1e-9)
+
+
+def typed(a, u, t, dt, th):
+    return [math.sin(th.w) if type(th.w) is float else 0.0, u[0]], SHAPE[:, :1], th.q * np.eye(2)
+
+
+def test_the_first_call_of_what_was_recorded_is_looked_at():
+    model = model_of(typed)
+    for seed in range(3):
+        given = rows(seed, model)
+        assert_same(model.transition(*given), alone(model, *given))
