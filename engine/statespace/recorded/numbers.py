@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
 LIMIT = 20_000  # operations of one path
+OPENED = 1_000  # entries of an array into which a traced number may be written
 
 
 class UntraceableError(BaseException):
     """Something was done with a number that no list of operations tells.
 
-    No ``Exception``: a function that catches those must not go on with something else.
+    No ``Exception``: a function that catches those must not go on with something else. ``raised`` counts them
+    in this thread, for functions that catch everything.
     """
+
+    here = threading.local()
+
+    def __init__(self) -> None:
+        UntraceableError.here.raised = UntraceableError.raised() + 1
+
+    @classmethod
+    def raised(cls) -> int:
+        """How many there were in this thread."""
+        return int(getattr(cls.here, "raised", 0))
 
 
 class Operation(NamedTuple):
@@ -36,21 +51,31 @@ class Condition(NamedTuple):
 class Recorder:
     """What a function does, in its order; ``constants`` are values that are the same for all rows."""
 
+    now = threading.local()  # ``running``: those at work in this thread
+
     def __init__(self) -> None:
         self.done: list[Operation | Condition] = []
         self.constants: dict[int, Any] = {}
         self.known: dict[int, bool] = {}  # conditions met already
+        self.finite: set[int] = set()  # values of which it is looked at already
         self.values = 0
         self.of_states: set[int] = set()  # values that depend on nonlinear states
         self.goes_by_rows = False  # whether it takes one of those out of an array
-        self.open = True
+        self.open = True  # whoever remembers a number after the end has the plain one
+        self.failed: Exception | None = None  # of an operation, which the function may have caught
 
-    def check_open(self) -> None:
-        """Raise TypeError after the end, for whoever remembered a number that was traced."""
-        if not self.open:
-            raise TypeError(
-                "a number from an earlier call, of which the function may remember nothing"
-            )
+    def __enter__(self) -> Self:
+        Recorder.now.running = Recorder.running() + 1
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.open = False
+        Recorder.now.running -= 1
+
+    @classmethod
+    def running(cls) -> int:
+        """How many are at work in this thread."""
+        return int(getattr(cls.now, "running", 0))
 
     def taken_out(self, *numbers: Any) -> None:
         """Numbers that are worked with by themselves, where arrays of them would be as well."""
@@ -71,12 +96,18 @@ class Recorder:
 
     def operation(self, function: Callable[..., Any], operands: Sequence[Any]) -> Traced:
         """The result of a function of numbers, some of them traced."""
-        self.check_open()
         if len(self.done) >= LIMIT:
             raise UntraceableError
         if any(isinstance(x, Traced) and x.recorder is not self for x in operands):
             raise UntraceableError  # remembered from another call
-        value = function(*(x.value if isinstance(x, Traced) else x for x in operands))
+        values = [x.value if isinstance(x, Traced) else x for x in operands]
+        if function not in OF_BOOLEANS and all(isinstance(x, bool | np.bool_) for x in values):
+            raise UntraceableError  # True + True is 2 in Python and True in NumPy
+        try:
+            value = function(*values)
+        except Exception as error:
+            self.failed = error
+            raise
         of = tuple(x.index if isinstance(x, Traced) else self.constant(x) for x in operands)
         out = self.number(value)
         if not self.of_states.isdisjoint(of):
@@ -86,7 +117,6 @@ class Recorder:
 
     def condition(self, x: Traced) -> bool:
         """Whether a number counts as true, in this row."""
-        self.check_open()
         self.taken_out(x)
         if x.index not in self.known:
             self.known[x.index] = bool(x.value)
@@ -96,9 +126,9 @@ class Recorder:
 
 def record(function: Callable[..., Any], operands: Sequence[Any]) -> Any:
     """A function of numbers, written down where any of them is traced."""
-    traced = next((x for x in operands if isinstance(x, Traced)), None)
+    traced = next((x for x in operands if isinstance(x, Traced) and x.recorder.open), None)
     if traced is None:
-        return function(*operands)
+        return function(*(x.value if isinstance(x, Traced) else x for x in operands))
     simple = _simplified(function, operands) if len(operands) == 2 else None
     return traced.recorder.operation(function, operands) if simple is None else simple
 
@@ -106,36 +136,95 @@ def record(function: Callable[..., Any], operands: Sequence[Any]) -> Any:
 def _simplified(function: Callable[..., Any], operands: Sequence[Any]) -> Any:
     """x + 0, x - 0, 1 x, x / 1 and 0 x, of which products of matrices are full; None for all others."""
     for (x, y), neutral in ((operands, NEUTRAL), (operands[::-1], NEUTRAL_BEFORE)):
-        if isinstance(x, Traced) and not isinstance(y, Traced):
+        if isinstance(x, Traced) and not isinstance(y, Traced) and isinstance(x.value, float):
             if neutral.get(function) == y:
                 return x
             if function is np.multiply and y == 0:
+                if x.index not in x.recorder.finite:
+                    x.recorder.operation(_check_finite, (x,))
+                    x.recorder.finite.add(x.index)
                 return 0.0
     return None
 
 
+def _check_finite(x: Any) -> Any:
+    """0 x is 0 for these only."""
+    if not np.isfinite(x).all():
+        raise FloatingPointError("not a finite number")
+    return x
+
+
 NEUTRAL_BEFORE: dict[Any, int] = {np.add: 0, np.multiply: 1}
 NEUTRAL: dict[Any, int] = {**NEUTRAL_BEFORE, np.subtract: 0, np.true_divide: 1}
+RAISING = frozenset(
+    {
+        *(np.true_divide, np.floor_divide, np.remainder, np.fmod, np.power, np.float_power, np.exp),
+        *(np.exp2, np.expm1, np.log, np.log2, np.log10, np.log1p, np.sqrt, np.sinh, np.cosh),
+        *(np.arcsin, np.arccos, np.arccosh, np.arctanh, np.reciprocal),
+    }
+)
+# functions that do the same to booleans of Python and of NumPy
+OF_BOOLEANS = frozenset(
+    {
+        *(np.logical_and, np.logical_or, np.logical_xor, np.logical_not, np.where, np.multiply),
+        *(np.bitwise_and, np.bitwise_or, np.bitwise_xor, np.invert, np.equal, np.not_equal),
+        *(np.less, np.less_equal, np.greater, np.greater_equal, np.maximum, np.minimum),
+    }
+)
 
 
 def applied(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
     """A function of NumPy, entry by entry; sums and products of matrices by the operators of the entries."""
     out = options.pop("out", (None,))[0]
+    if not Recorder.running():  # a function remembers an array of an earlier call
+        result = getattr(ufunc, method)(*map(as_numbers, inputs), **options)
+        if out is None:
+            return result
+        out[...] = result
+        return out
     plain = [_boxed(x) for x in inputs]
     if method == "__call__" and ufunc.signature is None and ufunc.nout == 1:
-        if options.keys() - {"dtype", "casting", "order"}:
+        if options:
             raise UntraceableError
-        each = np.frompyfunc(lambda *xs: record(ufunc, xs), ufunc.nin, 1)
+        own = quiet(ufunc)
+        each = np.frompyfunc(lambda *xs: record(own, xs), ufunc.nin, 1)
         result = each(*plain)
     elif method == "reduce" and ufunc in (np.maximum, np.minimum):
         each = np.frompyfunc(lambda *xs: record(ufunc, xs), 2, 1)
         result = each.reduce(*plain, **options)
     else:
+        if ufunc is np.add:
+            plain[0] = np.frompyfunc(counted, 1, 1)(plain[0])
         result = getattr(ufunc, method)(*plain, **options)
     if out is not None:
         out[...] = result
         return out
     return traced_array(result)
+
+
+@functools.cache
+def quiet(ufunc: Any) -> Callable[..., Any]:
+    """A function of NumPy, which returns what is not finite where one of Python raises."""
+    if ufunc not in RAISING:
+        return cast("Callable[..., Any]", ufunc)
+
+    def call(*operands: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return ufunc(*operands)
+
+    return call
+
+
+def counted(x: Any) -> Any:
+    """What is true as one, in a sum."""
+    boolean = isinstance(x, Traced) and isinstance(x.value, bool | np.bool_)
+    return record(np.add, (x, 0)) if boolean else x
+
+
+def as_float(x: Any) -> Any:
+    """What is true as one, elsewhere."""
+    boolean = isinstance(x, Traced) and isinstance(x.value, bool | np.bool_)
+    return record(np.multiply, (x, 1.0)) if boolean else x
 
 
 def _boxed(x: Any) -> Any:
@@ -209,9 +298,15 @@ class _Entry:
         return arrays[self.k][(..., *self.at)]
 
 
-def _refuse(x: Traced, *_: Any, **__: Any) -> NoReturn:
-    x.recorder.check_open()
-    raise UntraceableError
+def _plain(make: Callable[..., Any]) -> Callable[..., Any]:
+    """What no list of operations tells: of the plain number after the end only."""
+
+    def method(x: Traced, *others: Any) -> Any:
+        if x.recorder.open:
+            raise UntraceableError
+        return make(x.value, *others)
+
+    return method
 
 
 class TracedArray(np.ndarray[Any, Any]):
@@ -226,22 +321,62 @@ class TracedArray(np.ndarray[Any, Any]):
         return of_arrays(function, args, options)
 
     def astype(self, dtype: Any, *args: Any, **options: Any) -> Any:
-        """Itself as numbers."""
-        if not isinstance(dtype, type) and callable(dtype):  # what stands in for ``float``
-            return self
-        return (
-            self
-            if np.dtype(dtype).kind == "f"
-            else np.ndarray.astype(self, dtype, *args, **options)
+        """A copy as numbers."""
+        if np.dtype(dtype).char != "d":
+            return np.ndarray.astype(self, dtype, *args, **options)
+        return traced_array(
+            np.frompyfunc(as_float, 1, 1)(self.view(np.ndarray)).reshape(self.shape)
         )
+
+    def __getitem__(self, key: Any) -> Any:
+        return super().__getitem__(_decided(key))
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        super().__setitem__(_decided(key), value)
+
+
+def _decided(key: Any) -> Any:
+    """An index of which conditions are a part, with their answers."""
+    if isinstance(key, tuple):
+        return tuple(map(_decided, key))
+    if isinstance(key, Traced) and isinstance(key.value, bool | np.bool_):
+        return bool(key)
+    if isinstance(key, np.ndarray) and key.dtype == object:
+        answers = [_decided(x) for x in key.flat]
+        return np.array(answers, dtype=None if answers else bool).reshape(key.shape)
+    return key
 
 
 def of_arrays(function: Any, args: Iterable[Any], options: Mapping[str, Any]) -> Any:
     """A function of NumPy on arrays of objects: ``append``, ``stack``, ``diag``, ... move entries only."""
     known = by_entries.get(function)
-    if known is not None:
+    if known is not None and Recorder.running():
         return known(*args, **options)
+    if not (Recorder.running() and has_traced([*args, *options.values()])):
+        plain = {name: as_numbers(x) for name, x in options.items()}
+        found = function(*map(as_numbers, args), **plain)
+        return opened(found) if Recorder.running() else found
     return traced_array(function(*map(_stripped, args), **options))
+
+
+def as_numbers(x: Any) -> Any:
+    """Arrays of objects that are numbers, as numbers."""
+    if type(x) in (list, tuple):
+        return type(x)(map(as_numbers, x))
+    if isinstance(x, Traced):
+        return x.item()
+    if not isinstance(x, TracedArray):
+        return x
+    entries = x.ravel().tolist()
+    whole = bool(entries) and all(isinstance(entry, bool | int | np.integer) for entry in entries)
+    return np.array(entries, dtype=None if whole else float).reshape(x.shape)
+
+
+def opened(x: Any) -> Any:
+    """Arrays of numbers as such that take traced ones; everything else as it is."""
+    if isinstance(x, np.ndarray) and x.dtype.char == "d" and x.size <= OPENED:
+        return x.astype(object).view(TracedArray)
+    return traced_array(x)
 
 
 def _stripped(x: Any) -> Any:
@@ -258,7 +393,6 @@ class Traced:
     """A number of one row, with its place in the list of a recorder."""
 
     __slots__ = ("index", "recorder", "value")
-    __hash__ = None  # type: ignore[assignment]
 
     def __init__(self, recorder: Recorder, index: int, value: Any) -> None:
         self.recorder, self.index, self.value = recorder, index, value
@@ -272,14 +406,23 @@ class Traced:
         return of_arrays(function, args, options)
 
     def __bool__(self) -> bool:
-        return self.recorder.condition(self)
+        return self.recorder.condition(self) if self.recorder.open else bool(self.value)
 
-    def item(self) -> Traced:
+    def item(self) -> Any:
         """As a number of NumPy has it."""
-        return self
+        return self if self.recorder.open else self.value
 
-    __float__ = __int__ = __index__ = __complex__ = __round__ = __len__ = __iter__ = _refuse
-    __str__ = __repr__ = __format__ = __reduce_ex__ = __getitem__ = _refuse
+    # no len(x), iter(x) and x[0], which a number does not have either
+    __float__, __int__, __complex__ = _plain(float), _plain(int), _plain(complex)
+    __index__, __round__, __hash__ = _plain(operator.index), _plain(round), _plain(hash)
+    __str__, __repr__, __format__ = _plain(str), _plain(repr), _plain(format)
+    __reduce_ex__ = _plain(lambda value, _: (type(value), (value,)))
+
+    def __divmod__(self, other: Any) -> Any:
+        return self // other, self % other
+
+    def __rdivmod__(self, other: Any) -> Any:
+        return other // self, other % self
 
 
 def _binary(ufunc: np.ufunc, back: bool) -> Callable[[Any, Any], Any]:
@@ -295,7 +438,13 @@ def _binary(ufunc: np.ufunc, back: bool) -> Callable[[Any, Any], Any]:
     return method
 
 
-def _unary(ufunc: np.ufunc) -> Callable[[Any], Any]:
+@functools.cache
+def whole(ufunc: np.ufunc) -> Callable[..., Any]:
+    """An integer of Python, which exists for finite numbers only."""
+    return lambda x: ufunc(_check_finite(x))
+
+
+def _unary(ufunc: Any) -> Callable[[Any], Any]:
     return lambda self: record(ufunc, (self,))
 
 
@@ -307,9 +456,9 @@ ARITHMETIC: dict[str, Any] = {
     "floordiv": np.floor_divide,
     "mod": np.remainder,
     "pow": np.power,
-    "and": np.logical_and,
-    "or": np.logical_or,
-    "xor": np.logical_xor,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
 }
 COMPARISONS: dict[str, Any] = {
     "lt": np.less,
@@ -323,10 +472,10 @@ ALONE: dict[str, Any] = {
     "neg": np.negative,
     "pos": np.positive,
     "abs": np.absolute,
-    "invert": np.logical_not,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "trunc": np.trunc,
+    "invert": np.invert,
+    "floor": whole(np.floor),
+    "ceil": whole(np.ceil),
+    "trunc": whole(np.trunc),
 }
 for _name, _ufunc in (ARITHMETIC | COMPARISONS).items():
     setattr(Traced, f"__{_name}__", _binary(_ufunc, back=False))

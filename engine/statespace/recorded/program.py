@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.statespace.compare import NOISE
 from engine.statespace.reads import reads
 from engine.statespace.recorded.numbers import (
     Operation,
@@ -17,11 +18,12 @@ from engine.statespace.recorded.numbers import (
     UntraceableError,
 )
 from engine.statespace.recorded.stand_ins import traceable
-from engine.statespace.rows import Array, Indices, is_rows
+from engine.statespace.rows import PERTURBATION, Array, Indices, is_rows
 
 PATHS = 32  # through one function
 STEPS = 32  # lengths of time steps for each of which a function is recorded that counts with them
 TRIES = 8  # rows at which nothing could be calculated, until it is given up
+SAME = 1e-9  # relative: a number that is recorded is the function's own
 ENTRIES = 2**18  # numbers kept at once: rows are taken in parts
 
 
@@ -185,22 +187,25 @@ class Recorded:
 
     def _record(self, given: list[Any], row: int, arguments: Any) -> Path:
         """Run the function on one row, and add the path it takes; the first path of all is returned."""
-        key, (na, nu), theta, step = arguments
+        key = arguments[0]
         if self._paths >= PATHS or self._lost >= TRIES:
             raise NotByRowsError(here=False)
         recorder = Recorder()
-        numbers = [recorder.number(float(x[row]) if is_rows(x) else x) for x in given]
-        recorder.of_states.update(range(na))
-        a = np.array(numbers[:na], dtype=object).reshape(1, na).view(TracedArray)
-        u = None if key[0] else np.array(numbers[na : na + nu], dtype=object).view(TracedArray)
-        rest = iter(numbers[na + nu :])
-        t = next(rest)
-        step = step if key[1] is not None else [next(rest) for _ in step]
+        own = [float(x[row]) if is_rows(x) else x for x in given]
+        numbers = [recorder.number(x) for x in own]
+        recorder.of_states.update(range(arguments[1][0]))
         try:
             if self._traceable is None:
                 self._traceable = traceable(self._function)
-            found = self._traceable(a, u, t, *step, theta._make(rest))
-            outputs = self._outputs(found if self._several else (found,), recorder)
+            before = UntraceableError.raised()
+            with recorder:
+                found = self._traceable(*self._given(numbers, arguments))
+                outputs = self._outputs(found, recorder)
+            if UntraceableError.raised() != before:  # it caught that
+                raise UntraceableError
+            if recorder.failed is not None:  # it caught that, as it need not in other rows
+                raise recorder.failed
+            self._compare(_numbers_of(found), own, arguments)
         except UntraceableError as error:
             raise NotByRowsError(here=False) from error
         except NotByRowsError:
@@ -209,8 +214,6 @@ class Recorded:
             self._lost += 1
             here = isinstance(error, ArithmeticError | ValueError)
             raise NotByRowsError(here=here) from error
-        finally:
-            recorder.open = False
         self._paths += 1
         self.goes_by_rows = self.goes_by_rows or recorder.goes_by_rows
         self._longest = max(self._longest, recorder.values)
@@ -220,7 +223,40 @@ class Recorded:
             _graft(first, path)
         return first
 
+    def _given(self, numbers: Sequence[Any], arguments: Any) -> Sequence[Any]:
+        """The arguments for one row, of its numbers, traced ones or not."""
+        key, (na, nu), theta, step = arguments
+        kind = object if isinstance(numbers[-1], Traced) else float
+        a = np.array(numbers[:na], dtype=kind).reshape(1, na)
+        u = None if key[0] else np.array(numbers[na : na + nu], dtype=kind)
+        if kind is object:
+            a, u = a.view(TracedArray), None if u is None else u.view(TracedArray)
+        rest = iter(numbers[na + nu :])
+        t = next(rest)
+        step = step if key[1] is not None else [next(rest) for _ in step]
+        return a, u, t, *step, theta._make(rest)
+
+    def _compare(self, recorded: Sequence[Any], own: Sequence[float], arguments: Any) -> None:
+        """Refuse what the function itself does not say of the row that was recorded."""
+
+        def alone(factor: float) -> Sequence[Any]:
+            return _numbers_of(self._function(*self._given([x * factor for x in own], arguments)))
+
+        with np.errstate(all="ignore"):
+            known = alone(1.0)
+            pairs = enumerate(zip(recorded, known, strict=True))
+            apart = [i for i, (x, y) in pairs if not _near(x, y, SAME * np.abs(y))]
+            if not apart:
+                return
+            again, *nudged = (alone(1.0 + sign * PERTURBATION) for sign in (0.0, -1.0, 1.0))
+            for i in apart:  # some functions magnify rounding
+                noise = sum(np.abs(one[i] - known[i]) for one in nudged)
+                allowed = SAME * np.abs(known[i]) + NOISE * noise
+                if not (_near(again[i], known[i], 0.0) and _near(recorded[i], known[i], allowed)):
+                    raise UntraceableError
+
     def _outputs(self, found: Any, recorder: Recorder) -> Sequence[Output | None]:
+        found = found if self._several else (found,)
         if not isinstance(found, list | tuple) or len(found) != len(self._shapes):
             raise UntraceableError
         out: list[Output | None] = []
@@ -232,6 +268,8 @@ class Recorded:
             if len(entries) != int(np.prod(shape)):
                 raise UntraceableError
             fixed = [0.0 if isinstance(x, Traced) else float(x) for x in entries]
+            if any(isinstance(x, Traced) and x.recorder is not recorder for x in entries):
+                raise UntraceableError  # remembered from another call
             moving = [(i, x.index) for i, x in enumerate(entries) if isinstance(x, Traced)]
             out.append(Output(shape, np.array(fixed), moving))
         return out
@@ -255,6 +293,18 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
+def _numbers_of(found: Any) -> list[Array]:
+    """Results for one row as numbers, in their order."""
+    several = found if isinstance(found, list | tuple) else (found,)
+    return [np.array([float(x) for x in _leaves(value) if x is not None]) for value in several]
+
+
+def _near(x: Array, y: Array, allowed: Any) -> bool:
+    return x.shape == y.shape and bool(
+        np.all((np.abs(x - y) <= allowed) | (x == y) | (np.isnan(x) & np.isnan(y)))
+    )
+
+
 def _chain(recorder: Recorder, outputs: Sequence[Output | None]) -> Path:
     """What was recorded as paths one after the other."""
     first = path = Path(constants=recorder.constants)
@@ -272,6 +322,8 @@ def _graft(known: Path, new: Path) -> None:
     """Add a path to those that begin as it does."""
     while True:
         same = known.condition == new.condition and len(known.operations) == len(new.operations)
+        if known.condition is None and same:
+            return  # it is known already
         if known.condition is None or not same:
             raise NotByRowsError(
                 here=False

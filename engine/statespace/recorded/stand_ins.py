@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import builtins
+import dis
 import math
 import sys
+from collections import Counter
 from collections.abc import Callable
-from functools import partial
-from types import BuiltinFunctionType, CellType, FunctionType, MethodType, ModuleType
+from functools import partial, reduce
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,14 +18,20 @@ import scipy.special
 
 from engine.statespace.discretization import discretize
 from engine.statespace.recorded.numbers import (
+    OPENED,
     Traced,
     TracedArray,
     UntraceableError,
+    applied,
+    as_float,
+    as_numbers,
     by_entries,
     has_traced,
+    opened,
     record,
     record_arrays,
     traced_array,
+    whole,
 )
 
 # packages whose functions are not looked into
@@ -36,7 +44,7 @@ def _each(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def call(*operands: Any) -> Any:
         if not has_traced(operands):
-            return traced_array(function(*map(_as_numbers, operands)))
+            return opened(function(*map(as_numbers, operands)))
         if any(isinstance(x, np.ndarray | list | tuple) for x in operands):
             plain = [np.asarray(_as_objects(x)).view(np.ndarray) for x in operands]
             found = np.frompyfunc(lambda *xs: record(function, xs), len(operands), 1)(*plain)
@@ -44,11 +52,6 @@ def _each(function: Callable[..., Any]) -> Callable[..., Any]:
         return record(function, operands)
 
     return call
-
-
-def _as_numbers(x: Any) -> Any:
-    """Arrays of objects that are numbers, as numbers."""
-    return np.asarray(x, dtype=float) if isinstance(x, TracedArray) else x
 
 
 def _as_objects(x: Any) -> Any:
@@ -70,18 +73,18 @@ def _plain_or(function: Callable[..., Any], ufunc: Callable[..., Any]) -> Callab
     return call
 
 
-def _made(function: Callable[..., Any]) -> Callable[..., Any]:
+def _made(function: Any) -> Callable[..., Any]:
     """A new array of numbers that takes traced ones."""
 
     def call(*args: Any, **options: Any) -> Any:
         dtype = _kind(options.pop("dtype", None))
-        if dtype is not None and np.dtype(dtype).kind != "f":
+        if dtype is not None and np.dtype(dtype).char != "d":
             return function(*args, dtype=dtype, **options)
-        if function is np.full and has_traced(args):
-            return np.full(args[0], args[1], dtype=object).view(TracedArray)
+        if function is np.full and has_traced([*args, *options.values()]):
+            return function(*args, **{**options, "dtype": object}).view(TracedArray)
         if args and isinstance(args[0], TracedArray):  # np.zeros_like(x)
             args = (np.zeros(args[0].shape), *args[1:])
-        return _opened(function(*args, **options))
+        return opened(function(*args, **options))
 
     return call
 
@@ -91,11 +94,15 @@ def _content(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def call(given: Any, dtype: Any = None, **options: Any) -> Any:
         dtype = _kind(dtype)
-        if has_traced(given):
-            if np.dtype(dtype or float).kind != "f":
-                raise UntraceableError
-            return _nested(given)
-        return _opened(function(given, dtype=dtype, **options))
+        number = dtype is None or np.dtype(dtype).char == "d"
+        if isinstance(given, TracedArray) and function is not np.array and not options and number:
+            return given
+        if not has_traced(given):
+            return opened(function(as_numbers(given), dtype=dtype, **options))
+        if not number or options.keys() - {"copy", "ndmin"}:
+            raise UntraceableError
+        out = _nested(given) if dtype is None else _nested(given).astype(float)
+        return out.reshape((1,) * (options.get("ndmin", 0) - out.ndim) + out.shape)
 
     return call
 
@@ -103,13 +110,6 @@ def _content(function: Callable[..., Any]) -> Callable[..., Any]:
 def _kind(dtype: Any) -> Any:
     """The type for which a stand-in is."""
     return KINDS.get(dtype, dtype) if callable(dtype) else dtype
-
-
-def _opened(array: Any) -> Any:
-    """An array of numbers as one that takes traced ones."""
-    if isinstance(array, np.ndarray) and array.dtype.kind == "f":
-        return array.astype(object).view(TracedArray)
-    return array
 
 
 def _nested(given: Any) -> Any:
@@ -124,8 +124,8 @@ def _arrays(function: Callable[..., Any], single: bool = True) -> Callable[..., 
 
     def call(*arrays: Any) -> Any:
         if not has_traced([np.asarray(_nested(x)) for x in arrays]):
-            out = function(*map(_as_numbers, arrays))
-            return out
+            found = function(*map(as_numbers, arrays))
+            return opened(found) if single else tuple(map(opened, found))
         found = record_arrays(lambda *xs: (function(*xs),) if single else function(*xs), arrays)
         return found[0] if single else found
 
@@ -155,31 +155,124 @@ def _log(x: Any, base: Any = None) -> Any:
     return own(x) if base is None else own(x) / own(base)
 
 
-def _extreme(function: Callable[..., Any], ufunc: np.ufunc) -> Callable[..., Any]:
-    """``max`` or ``min`` of numbers."""
+def _unless_traced(function: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
+    """A function, or what does the same with traced numbers."""
 
-    def call(*given: Any, **options: Any) -> Any:
-        values = list(given[0]) if len(given) == 1 else list(given)
-        if options or not has_traced(values):
-            return function(*given, **options)
-        out = values[0]
-        for value in values[1:]:
-            out = record(
-                ufunc, [x.item() if isinstance(x, TracedArray) else x for x in (out, value)]
-            )
+    def call(*args: Any, **options: Any) -> Any:
+        if has_traced([*args, *options.values()]):
+            return own(*args, **options)
+        return opened(function(*map(as_numbers, args), **options))
+
+    return call
+
+
+def _hypot(*xs: Any) -> Any:
+    """``math.hypot`` of any number of numbers."""
+    if not has_traced(xs):
+        return math.hypot(*xs)
+    two = _plain_or(math.hypot, np.hypot)
+    return reduce(two, xs) if len(xs) > 1 else abs(xs[0])
+
+
+def _dist(p: Any, q: Any) -> Any:
+    """``math.dist``."""
+    return _hypot(*(x - y for x, y in zip(p, q, strict=True)))
+
+
+def _close(x: Any, y: Any, *, rel_tol: float = 1e-9, abs_tol: float = 0.0) -> Any:
+    """``math.isclose``."""
+    allowed = np.maximum(rel_tol * np.maximum(abs(x), abs(y)), abs_tol)
+    return (x == y) | (abs(x - y) <= allowed)
+
+
+def _all_close(x: Any, y: Any, rtol: float = 1e-5, atol: float = 1e-8) -> Any:
+    """``np.isclose``."""
+    return np.less_equal(np.abs(np.subtract(x, y)), np.add(atol, np.multiply(rtol, np.abs(y))))
+
+
+def _select(conditions: Any, choices: Any, default: Any = 0) -> Any:
+    """``np.select``."""
+    out = default
+    for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
+        out = STAND_INS[np.where](condition, choice, out)
+    return out
+
+
+def _larger(x: Any, y: Any) -> Any:
+    """``max`` of Python, the first of both where one is NaN."""
+    return np.where(np.greater(y, x), y, x)
+
+
+def _smaller(x: Any, y: Any) -> Any:
+    """``min`` of Python."""
+    return np.where(np.less(y, x), y, x)
+
+
+def _of_numbers_only(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``gamma`` and the like of :mod:`math`, which raise where those of arrays give what is not finite."""
+
+    def call(x: Any) -> Any:
+        out = function(x)
+        if not np.isfinite(out).all():
+            raise FloatingPointError("not a finite number")
         return out
 
     return call
 
 
-def _number(kind: type) -> Callable[..., Any]:
-    """``float`` and the like."""
+def _errstate(**options: Any) -> Any:
+    """``np.errstate``; what NumPy does in silence is recorded only."""
+    if "raise" in options.values() or "call" in options.values():
+        raise UntraceableError
+    return np.errstate(**options)
 
-    def call(x: Any = 0.0) -> Any:
-        x = x.item() if isinstance(x, TracedArray) else x
-        return x if isinstance(x, Traced) else kind(x)
+
+class _Rows:
+    """``np.r_`` and ``np.c_``."""
+
+    def __init__(self, own: Any) -> None:
+        self._own = own
+
+    def __getitem__(self, key: Any) -> Any:
+        return opened(self._own[key])
+
+
+def _extreme(function: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
+    """``max`` or ``min`` of numbers."""
+
+    def call(*given: Any, **options: Any) -> Any:
+        values = list(given[0]) if len(given) == 1 else list(given)
+        if options or not has_traced(values):
+            return function(values, **options)
+        out = values[0]
+        for value in values[1:]:
+            out = record(own, [x.item() if isinstance(x, TracedArray) else x for x in (out, value)])
+        return out
 
     return call
+
+
+class _Number:
+    """``float`` and the like: called, and given as a type."""
+
+    def __init__(self, kind: Any) -> None:
+        self._kind, self.dtype = kind, np.dtype(kind)
+
+    def __call__(self, x: Any = 0.0) -> Any:
+        x = x.item() if isinstance(x, TracedArray) else x
+        return as_float(x) if isinstance(x, Traced) else self._kind(x)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kind, name)
+
+    def __instancecheck__(self, x: Any) -> bool:
+        return _isinstance(x, self._kind)
+
+    def __or__(self, other: Any) -> Any:
+        return self._kind | _kind(other)
+
+    def __ror__(self, other: Any) -> Any:
+        return other | self._kind
 
 
 def _isinstance(x: Any, kinds: Any) -> bool:
@@ -215,7 +308,7 @@ IN_MATH = {
                 "sinh",
                 "cosh",
             ),
-            *("tanh", "hypot", "fabs", "floor", "ceil", "trunc", "fmod", "copysign", "degrees"),
+            *("tanh", "fabs", "fmod", "copysign", "degrees"),
             *("radians", "isnan", "isfinite", "isinf"),
         )
     },
@@ -229,12 +322,24 @@ IN_MATH = {
     math.pow: np.power,
     math.erf: scipy.special.erf,
     math.erfc: scipy.special.erfc,
-    math.gamma: scipy.special.gamma,
-    math.lgamma: scipy.special.gammaln,
+    math.gamma: _of_numbers_only(scipy.special.gamma),
+    math.lgamma: _of_numbers_only(scipy.special.gammaln),
+    math.floor: whole(np.floor),
+    math.ceil: whole(np.ceil),
+    math.trunc: whole(np.trunc),
 }
 STAND_INS: dict[Any, Any] = {
     **{function: _plain_or(function, ufunc) for function, ufunc in IN_MATH.items()},
     math.log: _log,
+    math.hypot: _hypot,
+    math.dist: _dist,
+    math.isclose: _unless_traced(math.isclose, _close),
+    np.isclose: _unless_traced(np.isclose, _all_close),
+    np.allclose: _unless_traced(
+        np.allclose, lambda *args, **o: bool(np.all(_all_close(*args, **o)))
+    ),
+    np.select: _unless_traced(np.select, _select),
+    np.errstate: _errstate,
     **{
         function: _made(function) for function in (np.zeros, np.ones, np.empty, np.eye, np.identity)
     },
@@ -250,16 +355,19 @@ STAND_INS: dict[Any, Any] = {
     np.linalg.inv: _arrays(np.linalg.inv),
     np.linalg.solve: _solve,
     np.linalg.norm: _norm,
+    np.linalg.det: _arrays(np.linalg.det),
+    np.linalg.cholesky: _arrays(np.linalg.cholesky),
+    np.linalg.pinv: _arrays(np.linalg.pinv),
     scipy.linalg.inv: _arrays(np.linalg.inv),
     scipy.linalg.solve: _solve,
     scipy.linalg.expm: _arrays(scipy.linalg.expm),
     discretize: _discretize,
     np.isscalar: lambda x: isinstance(x, Traced) or np.isscalar(x),
-    np.float64: _number(np.float64),
-    float: _number(float),
+    np.float64: _Number(np.float64),
+    float: _Number(float),
     isinstance: _isinstance,
-    max: _extreme(max, np.maximum),
-    min: _extreme(min, np.minimum),
+    max: _extreme(max, _larger),
+    min: _extreme(min, _smaller),
 }
 KINDS = {STAND_INS[kind]: kind for kind in (np.float64, float)}
 NAMES = {name: STAND_INS[getattr(builtins, name)] for name in ("float", "isinstance", "max", "min")}
@@ -276,8 +384,81 @@ def _interp(x: Any, xp: Any, fp: Any, **options: Any) -> Any:
 STAND_INS[np.interp] = _interp
 by_entries.update({function: STAND_INS[function] for function in (np.where, np.clip, np.interp)})
 by_entries.update(
-    {function: STAND_INS[function] for function in (np.linalg.inv, np.linalg.solve, np.linalg.norm)}
+    {
+        function: STAND_INS[function]
+        for function in (
+            *(np.linalg.inv, np.linalg.solve, np.linalg.norm, np.linalg.det, np.linalg.cholesky),
+            *(np.linalg.pinv, np.isclose, np.allclose, np.select),
+        )
+    }
 )
+
+
+def _sum(x: Any, axis: Any = None, **options: Any) -> Any:
+    """``np.sum``, which counts what is true."""
+    return applied(np.add, "reduce", (_nested(x),), {"axis": axis, **options})
+
+
+by_entries[np.sum] = _sum
+
+
+def _refuse(*_: Any, **__: Any) -> Any:
+    raise UntraceableError
+
+
+class _Dict(dict[Any, Any]):
+    """What is there for all calls, in which none may leave something for the next."""
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+
+class _List(list[Any]):
+    """The same in a row; what is only appended to is a protocol, which none reads."""
+
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = clear = insert = _refuse
+    extend = pop = remove = reverse = sort = _refuse
+
+    def __init__(self, each: Any, own: list[Any]) -> None:
+        super().__init__(each)
+        self._own, self._read, self._written = own, False, False
+
+    def append(self, x: Any) -> None:
+        """Keep it for whoever calls the function."""
+        self._used(written=True)
+        self._own.append(x.value if isinstance(x, Traced) else x)
+
+    def __getitem__(self, key: Any) -> Any:
+        self._used(read=True)
+        return super().__getitem__(key)
+
+    def __iter__(self) -> Any:
+        self._used(read=True)
+        return super().__iter__()
+
+    def __len__(self) -> int:
+        self._used(read=True)
+        return super().__len__()
+
+    def _used(self, read: bool = False, written: bool = False) -> None:
+        self._read, self._written = self._read or read, self._written or written
+        if self._read and self._written:
+            raise UntraceableError
+
+
+def _kept(value: Any, seen: dict[int, Any]) -> Any:
+    """A dictionary, list or tuple with stand-ins for what is in it."""
+    if isinstance(value, dict):
+        return _Dict({key: stand_in(one, seen) for key, one in value.items()})
+    each = [stand_in(one, seen) for one in value]
+    return tuple(each) if isinstance(value, tuple) else _List(each, value)
+
+
+def _constant(value: Any) -> Any:
+    """An array that is there for all calls, into which none may write; anything else as it is."""
+    own = opened(value)
+    if own is not value:
+        own.setflags(write=False)
+    return own
 
 
 class _Module:
@@ -292,11 +473,15 @@ class _Module:
 
 def stand_in(value: Any, seen: dict[int, Any]) -> Any:
     """What is used instead of a value under a global name; itself for most."""
+    if type(value) in (dict, list, tuple):
+        return _kept(value, seen) if len(value) <= OPENED else value
     try:
         if value in STAND_INS:
             return STAND_INS[value]
     except TypeError:  # not hashable
-        return value
+        return _constant(value)
+    if value is np.r_ or value is np.c_:
+        return _Rows(value)
     if isinstance(value, ModuleType):
         return _Module(value, seen)
     if isinstance(value, OF_NUMPY) and _package_of(value) == "numpy":
@@ -317,17 +502,22 @@ def _package_of(function: Any) -> str:
 
 
 def _of_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda *args, **options: traced_array(function(*args, **options))
+    return lambda *args, **options: opened(function(*args, **options))
 
 
 def traceable(function: Any, seen: dict[int, Any] | None = None) -> Any:
     """The same function with stand-ins under its global and enclosing names."""
     seen = {} if seen is None else seen
+    called = type(function).__call__
     if not isinstance(function, FunctionType):
+        if isinstance(called, FunctionType) and _package_of(called) not in KNOWN:
+            return MethodType(traceable(called, seen), function)
         return stand_in(function, seen)
     if _package_of(function) in KNOWN:
         return function
     if id(function) not in seen:
+        if _remembers(function.__code__, {*function.__code__.co_freevars}):
+            raise UntraceableError
         names = dict(function.__globals__)
         closure = tuple(CellType() for _ in function.__closure__ or ())
         own = FunctionType(
@@ -347,3 +537,38 @@ def _names_of(code: Any) -> set[str]:
     """Global names in a function and in those within it."""
     inner = (const for const in code.co_consts if hasattr(const, "co_names"))
     return {*code.co_names}.union(*map(_names_of, inner))
+
+
+def _remembers(code: Any, free: set[str]) -> bool:
+    """Whether a function, or one within it, reads what it leaves for its next call.
+
+    Counting calls (``self.calls += 1``) is no reading.
+    """
+    loaded, stored = _uses_of(code, free)
+    return any(loaded[use] > 0 for use in stored)
+
+
+def _uses_of(code: Any, free: set[str]) -> tuple[Counter[Any], set[Any]]:
+    """How often names that stay are loaded but for adding to them, and which are assigned to."""
+    loaded: Counter[Any] = Counter()
+    stored: set[Any] = set()
+    added = False
+    for step in dis.get_instructions(code):
+        what, _, where = step.opname.partition("_")
+        use = where.removesuffix("_OR_NULL"), step.argval
+        if where == "METHOD":
+            use = "ATTR", step.argval
+        stays = use[0] in ("GLOBAL", "ATTR") or (use[0] == "DEREF" and use[1] in free)
+        if stays and what == "LOAD":
+            loaded[use] += 1
+        elif stays and what in ("STORE", "DELETE"):
+            stored.add(use)
+            loaded[use] -= added
+        if step.opname not in ("SWAP", "CACHE") and not step.opname.startswith("LOAD"):
+            added = step.opname == "BINARY_OP" and step.argrepr.endswith("=")
+    for const in code.co_consts:
+        if isinstance(const, CodeType):
+            inner = _uses_of(const, free)
+            loaded.update(inner[0])
+            stored |= inner[1]
+    return loaded, stored

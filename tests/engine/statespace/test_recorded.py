@@ -1,7 +1,9 @@
 """Functions written for one time and one parameter vector, evaluated for many rows as they are alone."""
 
+import copy
 import functools
 import math
+import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,6 +18,8 @@ from scipy.special import expit
 import engine
 from engine import Gaussian, MixedModel, Parameter, Series
 from engine.filters.sigma_point import moment_filter
+from engine.statespace.recorded import NotByRowsError, by_rows
+from engine.statespace.recorded.program import Path, _graft
 
 M = 60
 GRAVITY = 9.81
@@ -364,8 +368,109 @@ def test_differential_equations_of_numbers_are_recorded_too(hold):
     np.testing.assert_allclose(got, each, rtol=1e-9)
 
 
+# what the first look must not let pass, each wrong where it is done as arrays do it
+
+
+def counted(a, u, t, dt, th):
+    return [a[:, 0] + ((th.w > 1.0) + (th.k > 0.4)), sum([u[0] > 0, u[1] > 0])], SHAPE[:, :1], Q
+
+
+def counted_seldom(a, u, t, dt, th):
+    n = (th.w > 1.1) + (th.k > 0.4) if u[0] > 1.5 else 0
+    return [a[:, 0] + n, math.sin(th.w)], SHAPE[:, :1], Q
+
+
+def of_booleans(a, u, t, dt, th):
+    marks = np.zeros(2)
+    marks[0], marks[1] = th.w > 1.0, th.k > 0.4
+    return [math.exp(th.w > 1.0), marks.sum()], SHAPE[:, :1], Q
+
+
+def bits(a, u, t, dt, th):
+    return [1.0 if math.floor(t) & 1 else -1.0, a[:, 0]], SHAPE[:, :1], Q
+
+
+def catches_all(a, u, t, dt, th):
+    n = 0
+    if u[0] > 1.5:
+        try:
+            n = int(3 * th.w)
+        except:  # noqa: E722 - as users write it
+            n = 7
+    return [math.sin(th.w), n * 1.0], SHAPE[:, :1], Q
+
+
+def catches_errors(a, u, t, dt, th):
+    try:
+        rate = math.log(u[0] - 1.0)
+    except Exception:  # noqa: BLE001 - as users write it
+        rate = -7.0
+    return [math.sin(th.w), rate], SHAPE[:, :1], Q
+
+
+def aliases(a, u, t, dt, th):
+    x = np.zeros(2)
+    y = np.asarray(x)
+    y[0] = math.sin(th.w)
+    z = x.astype(float)
+    z[1] = 5.0
+    return x + np.array([u[0], th.k], ndmin=2)[0], SHAPE[:, :1], Q
+
+
+def zeros(a, u, t, dt, th):
+    return (
+        np.array([[0.0, 1.0], [1.0, math.sin(th.w)]]) @ np.array([a[0, 0], u[0]]),
+        SHAPE[:, :1],
+        Q,
+    )
+
+
+def python_extremes(a, u, t, dt, th):
+    return [max(0.0, a[0, 0]), min(a[0, 0], math.sin(th.w))], SHAPE[:, :1], Q
+
+
+Q = np.diag([0.1, 0.1])
+DELICATE = (
+    *(counted, counted_seldom, of_booleans, bits, catches_all, catches_errors, aliases),
+    *(zeros, python_extremes),
+)
+
+
+def single(model, a, u, t, dt, theta):
+    """As ``alone``, for functions of a single particle."""
+    return alone(model, a, u, t, dt, theta)[0]
+
+
+@pytest.mark.parametrize("written", DELICATE, ids=lambda f: f.__name__)
+def test_every_call_gives_what_rows_are_alone_also_the_first(written):
+    model = model_of(written)
+    for seed in range(6):
+        a, u, t, dt, theta = rows(seed, model)
+        u = np.clip(u, -1.0, 1.0) if seed < 2 else u
+        if written in (zeros, python_extremes) and seed > 2:
+            a[::3] = np.nan
+        f, _, _ = model.transition(a, u, t, dt, theta)
+        np.testing.assert_allclose(f, single(model, a, u, t, dt, theta), rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize("written", DELICATE, ids=lambda f: f.__name__)
+def test_a_recording_of_harmless_rows_is_right_for_others_or_refused(written):
+    model = model_of(written)
+    made = by_rows(written, ((2,), (2, 1), (2, 2)))
+    for seed in range(12):
+        a, u, t, dt, theta = rows(seed, model)
+        u = np.clip(u, -0.9, 0.9) if seed < 2 else u
+        if written in (zeros, python_extremes) and seed > 2:
+            a[::3] = np.nan
+        try:
+            f, _, _ = made(a, u, t, dt, theta)
+        except NotByRowsError:
+            continue
+        np.testing.assert_allclose(f, single(model, a, u, t, dt, theta), rtol=1e-11, atol=1e-13)
+
+
 def typed(a, u, t, dt, th):
-    return [math.sin(th.w) if type(th.w) is float else 0.0, u[0]], SHAPE[:, :1], th.q * np.eye(2)
+    return [math.sin(th.w) if type(th.w) is float else 0.0, u[0]], SHAPE[:, :1], Q
 
 
 def test_the_first_call_of_what_was_recorded_is_looked_at():
@@ -373,3 +478,179 @@ def test_the_first_call_of_what_was_recorded_is_looked_at():
     for seed in range(3):
         given = rows(seed, model)
         assert_same(model.transition(*given), alone(model, *given))
+
+
+def test_what_arrays_give_where_python_raises_is_left_to_the_function():
+    def dynamics(a, u, t, dt, th):
+        return [math.gamma(u[0]), math.floor(u[1])], SHAPE[:, :1], Q
+
+    made = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
+    a, u, t, dt, theta = rows(0, model_of(loops))
+    made(a, np.abs(u), t, dt, theta)
+    for i, wrong in ((0, -1.0), (0, 1e3), (1, np.inf), (1, np.nan)):
+        given = np.abs(u)
+        given[i, 3] = wrong
+        with pytest.raises(NotByRowsError) as told:
+            made(a, given, t, dt, theta)
+        assert told.value.here
+
+
+def masks(a, u, t, dt, th):
+    f = math.sin(th.w) * a[:, 0]
+    f[f > 0.3] = 0.3
+    return [f, u[u > 0.0].sum() + np.sum(u > 0.5)], SHAPE[:, :1], Q
+
+
+def opened(a, u, t, dt, th):
+    A = SHAPE.copy()
+    A[0, 1] = math.sin(th.w)
+    B = np.diag([1.0, 2.0])
+    B *= th.k
+    return A @ u + B[1] + np.arange(2, dtype=float), A[:, 1:], Q
+
+
+def silent(a, u, t, dt, th):
+    with np.errstate(invalid="ignore"):
+        root = np.where(u[0] > 0, np.sqrt(u[0]), 0.0)
+    return [root, math.hypot(u[0], u[1], th.w)], SHAPE[:, :1], Q
+
+
+def decided(a, u, t, dt, th):
+    near = math.isclose(u[0], 0.0, abs_tol=0.1) or np.isclose(u[1], 0.0, atol=0.1)
+    n, rest = divmod(t, 3.0)
+    w = th.w if isinstance(th.w, int | float) and not hasattr(th.w, "__len__") else 0.0
+    chosen = np.select([u[0] < 0, u[0] < 1], [w, u[0]], default=2.0)
+    return [chosen + n, rest + (1.0 if near else math.sin(w))], SHAPE[:, :1], Q
+
+
+def kinds(a, u, t, dt, th):
+    gain = {"drag": helper}["drag"](u[0]) + RATES["lift"](u[1]) + np.r_[u[0], th.w].sum()
+    F = np.array([[2.0 + th.w**2, 0.1], [0.1, 2.0]])
+    level = np.linalg.det(F) + np.linalg.cholesky(F)[1, 0] + float(u[0] > 0) + float(u[1] > 0)
+    return [gain, level + max(abs(x) for x in (0.5, -0.7))], SHAPE[:, :1], Q
+
+
+RATES = {"lift": helper}
+
+
+@pytest.mark.parametrize(
+    "written", [masks, opened, silent, decided, kinds], ids=lambda f: f.__name__
+)
+def test_more_that_is_written_so_is_recorded(written):
+    model = model_of(written)
+    for seed in range(6):
+        given = rows(seed, model)
+        assert_same(model.transition(*given), alone(model, *given))
+    assert model.transitions.recorded
+    made = by_rows(written, ((2,), (2, 1), (2, 2)))  # which raises where it cannot
+    for seed in range(3):
+        given = rows(seed, model)
+        assert_same(made(*given), alone(model, *given))
+
+
+class Remembering:
+    """A plant as it is written with what it found for the last parameters."""
+
+    def __init__(self):
+        self.key, self.log, self.on = None, [], False
+
+    def cached(self, a, u, t, dt, th):
+        if self.key is None or abs(dt - self.key) > 1e-12 or abs(th.w - self.w) > 1e-12:
+            self.Phi = scipy.linalg.expm(np.array([[0.0, 1.0], [-(th.w**2), -0.1]]) * dt)
+            self.key, self.w = dt, th.w
+        return self.Phi @ u, self.Phi[:, :1], Q
+
+    def switched(self, a, u, t, dt, th):
+        if abs(u[0]) > 0.5:
+            self.on = u[0] > 0
+        return [math.sin(th.w) * (2.0 if self.on else 1.0), 0.0], SHAPE[:, :1], Q
+
+    def logged(self, a, u, t, dt, th):
+        self.log.append(th.w)
+        return [math.sin(th.w), u[0]], SHAPE[:, :1], Q
+
+
+def test_a_function_that_assigns_to_what_stays_is_not_recorded():
+    on, table = False, {"on": False}
+
+    def enclosed(a, u, t, dt, th):
+        nonlocal on
+        on = u[0] > 0.5 or (on and u[0] > -0.5)
+        return [math.sin(th.w) * (2.0 if on else 1.0), 0.0], SHAPE[:, :1], Q
+
+    def in_table(a, u, t, dt, th):
+        table["on"] = bool(u[0] > 0.5 or (table["on"] and u[0] > -0.5))
+        return [math.sin(th.w) * (2.0 if table["on"] else 1.0), 0.0], SHAPE[:, :1], Q
+
+    history = [0.0]
+
+    def in_list(a, u, t, dt, th):
+        before = history[-1]
+        history.append(u[0])
+        return [math.sin(th.w) * before, 0.0], SHAPE[:, :1], Q
+
+    plant = Remembering()
+    for written in (enclosed, in_table, in_list, plant.switched, plant.cached):
+        calls = by_rows(written, ((2,), (2, 1), (2, 2)))
+        a, u, t, dt, theta = rows(0, model_of(loops))
+        with pytest.raises(NotByRowsError):
+            calls(a, u, t, dt, theta)
+
+
+def test_what_a_function_remembers_of_a_recording_are_plain_numbers():
+    plant = Remembering()
+    for written in (plant.cached, plant.logged):
+        model = model_of(lambda *given, written=written: written(*given))
+        for seed in range(4):
+            given = rows(seed, model)
+            assert_same(model.transition(*given), alone(model, *given))
+    log = [float(x) for x in plant.log if np.ndim(x) == 0]
+    assert np.isfinite(log).all()
+    kept = []
+
+    def keeps(a, u, t, dt, th):
+        kept_ref(th.w, np.array([th.w, u[0]]))
+        return [math.sin(th.w), u[0]], SHAPE[:, :1], Q
+
+    kept_ref = type("", (), {"__call__": lambda self, *xs: kept.append(xs)})()
+    by_rows(keeps, ((2,), (2, 1), (2, 2)))(*rows(0, model))
+    (number, array), *_ = kept
+    assert number + 1.0 == float(number) + 1.0
+    assert pickle.loads(pickle.dumps(number)) == number == copy.deepcopy(number)
+    assert f"{number:.3f}" == f"{float(number):.3f}"
+    assert {number: 1}[float(number)] == 1
+    assert (array @ SHAPE).dtype == np.exp(array).dtype == np.append(array, 1.0).dtype == float
+
+
+def test_a_function_that_counts_its_calls_or_keeps_a_protocol_is_recorded():
+    calls, protocol = 0, []
+
+    def dynamics(a, u, t, dt, th):
+        nonlocal calls
+        calls += 1
+        protocol.append(t)
+        return [math.sin(th.w), u[0]], SHAPE[:, :1], Q
+
+    made = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
+    given = rows(0, model_of(loops))
+    assert_same(made(*given), alone(model_of(dynamics), *given))
+    assert np.isfinite(np.array(protocol, dtype=float)).all()
+
+
+def test_numbers_drawn_seldom_are_not_recorded():
+    rng = np.random.default_rng(0)
+
+    def dynamics(a, u, t, dt, th):
+        return [math.sin(th.w), rng.normal() if u[0] > 1.5 else 0.0], SHAPE[:, :1], Q
+
+    calls = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
+    a, u, t, dt, theta = rows(0, model_of(loops))
+    calls(a, np.clip(u, -1.0, 1.0), t, dt, theta)
+    with pytest.raises(NotByRowsError):
+        calls(a, u + 1.0, t, dt, theta)
+
+
+def test_a_condition_that_rounding_decides_is_left_to_the_function_for_this_call():
+    path = Path(condition=3, then={True: Path()})
+    _graft(path, Path(condition=3, then={True: Path()}))  # it is known already
+    assert list(path.then) == [True]
