@@ -445,7 +445,7 @@ def single(model, a, u, t, dt, theta):
 def test_every_call_gives_what_rows_are_alone_also_the_first(written):
     model = model_of(written)
     for seed in range(6):
-        a, u, t, dt, theta = rows(seed, model)
+        a, u, t, dt, theta = rows_of(seed, model)
         u = np.clip(u, -1.0, 1.0) if seed < 2 else u
         if written in (zeros, python_extremes) and seed > 2:
             a[::3] = np.nan
@@ -458,7 +458,7 @@ def test_a_recording_of_harmless_rows_is_right_for_others_or_refused(written):
     model = model_of(written)
     made = by_rows(written, ((2,), (2, 1), (2, 2)))
     for seed in range(12):
-        a, u, t, dt, theta = rows(seed, model)
+        a, u, t, dt, theta = rows_of(seed, model)
         u = np.clip(u, -0.9, 0.9) if seed < 2 else u
         if written in (zeros, python_extremes) and seed > 2:
             a[::3] = np.nan
@@ -476,7 +476,7 @@ def typed(a, u, t, dt, th):
 def test_the_first_call_of_what_was_recorded_is_looked_at():
     model = model_of(typed)
     for seed in range(3):
-        given = rows(seed, model)
+        given = rows_of(seed, model)
         assert_same(model.transition(*given), alone(model, *given))
 
 
@@ -485,7 +485,7 @@ def test_what_arrays_give_where_python_raises_is_left_to_the_function():
         return [math.gamma(u[0]), math.floor(u[1])], SHAPE[:, :1], Q
 
     made = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
-    a, u, t, dt, theta = rows(0, model_of(loops))
+    a, u, t, dt, theta = rows_of(0, model_of(loops))
     made(a, np.abs(u), t, dt, theta)
     for i, wrong in ((0, -1.0), (0, 1e3), (1, np.inf), (1, np.nan)):
         given = np.abs(u)
@@ -539,12 +539,12 @@ RATES = {"lift": helper}
 def test_more_that_is_written_so_is_recorded(written):
     model = model_of(written)
     for seed in range(6):
-        given = rows(seed, model)
+        given = rows_of(seed, model)
         assert_same(model.transition(*given), alone(model, *given))
     assert model.transitions.recorded
     made = by_rows(written, ((2,), (2, 1), (2, 2)))  # which raises where it cannot
     for seed in range(3):
-        given = rows(seed, model)
+        given = rows_of(seed, model)
         assert_same(made(*given), alone(model, *given))
 
 
@@ -592,7 +592,7 @@ def test_a_function_that_assigns_to_what_stays_is_not_recorded():
     plant = Remembering()
     for written in (enclosed, in_table, in_list, plant.switched, plant.cached):
         calls = by_rows(written, ((2,), (2, 1), (2, 2)))
-        a, u, t, dt, theta = rows(0, model_of(loops))
+        a, u, t, dt, theta = rows_of(0, model_of(loops))
         with pytest.raises(NotByRowsError):
             calls(a, u, t, dt, theta)
 
@@ -602,7 +602,7 @@ def test_what_a_function_remembers_of_a_recording_are_plain_numbers():
     for written in (plant.cached, plant.logged):
         model = model_of(lambda *given, written=written: written(*given))
         for seed in range(4):
-            given = rows(seed, model)
+            given = rows_of(seed, model)
             assert_same(model.transition(*given), alone(model, *given))
     log = [float(x) for x in plant.log if np.ndim(x) == 0]
     assert np.isfinite(log).all()
@@ -613,7 +613,7 @@ def test_what_a_function_remembers_of_a_recording_are_plain_numbers():
         return [math.sin(th.w), u[0]], SHAPE[:, :1], Q
 
     kept_ref = type("", (), {"__call__": lambda self, *xs: kept.append(xs)})()
-    by_rows(keeps, ((2,), (2, 1), (2, 2)))(*rows(0, model))
+    by_rows(keeps, ((2,), (2, 1), (2, 2)))(*rows_of(0, model))
     (number, array), *_ = kept
     assert number + 1.0 == float(number) + 1.0
     assert pickle.loads(pickle.dumps(number)) == number == copy.deepcopy(number)
@@ -632,7 +632,7 @@ def test_a_function_that_counts_its_calls_or_keeps_a_protocol_is_recorded():
         return [math.sin(th.w), u[0]], SHAPE[:, :1], Q
 
     made = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
-    given = rows(0, model_of(loops))
+    given = rows_of(0, model_of(loops))
     assert_same(made(*given), alone(model_of(dynamics), *given))
     assert np.isfinite(np.array(protocol, dtype=float)).all()
 
@@ -644,7 +644,7 @@ def test_numbers_drawn_seldom_are_not_recorded():
         return [math.sin(th.w), rng.normal() if u[0] > 1.5 else 0.0], SHAPE[:, :1], Q
 
     calls = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
-    a, u, t, dt, theta = rows(0, model_of(loops))
+    a, u, t, dt, theta = rows_of(0, model_of(loops))
     calls(a, np.clip(u, -1.0, 1.0), t, dt, theta)
     with pytest.raises(NotByRowsError):
         calls(a, u + 1.0, t, dt, theta)
