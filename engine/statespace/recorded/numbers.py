@@ -57,6 +57,7 @@ class Recorder:
         self.done: list[Operation | Condition] = []
         self.constants: dict[int, Any] = {}
         self.known: dict[int, bool] = {}  # conditions met already
+        self.origins: dict[int, dict[int, Traced]] = {}  # what is finite where these values are
         self.finite: set[int] = set()  # values of which it is looked at already
         self.values = 0
         self.of_states: set[int] = set()  # values that depend on nonlinear states
@@ -86,7 +87,9 @@ class Recorder:
     def number(self, value: Any) -> Traced:
         """An argument of the function, or a result."""
         self.values += 1
-        return Traced(self, self.values - 1, value)
+        out = Traced(self, self.values - 1, value)
+        self.origins[out.index] = {out.index: out}
+        return out
 
     def constant(self, value: Any) -> int:
         """The number of a value that does not differ."""
@@ -113,7 +116,17 @@ class Recorder:
         if not self.of_states.isdisjoint(of):
             self.of_states.add(out.index)
         self.done.append(Operation(function, of, out.index))
+        if function in NUMPYS and all(np.isfinite(value) for value in values):
+            own = (self.origins[x.index] for x in operands if isinstance(x, Traced))
+            self.origins[out.index] = {i: x for each in own for i, x in each.items()}
         return out
+
+    def require_finite(self, x: Traced) -> None:
+        """What is recorded does not hold for rows in which x is no number, or infinite."""
+        for i, origin in self.origins[x.index].items():
+            if i not in self.finite:
+                self.finite.add(i)
+                self.operation(_check_finite, (origin,))
 
     def condition(self, x: Traced) -> bool:
         """Whether a number counts as true, in this row."""
@@ -140,9 +153,7 @@ def _simplified(function: Callable[..., Any], operands: Sequence[Any]) -> Any:
             if neutral.get(function) == y:
                 return x
             if function is np.multiply and y == 0:
-                if x.index not in x.recorder.finite:
-                    x.recorder.operation(_check_finite, (x,))
-                    x.recorder.finite.add(x.index)
+                x.recorder.require_finite(x)
                 return 0.0
     return None
 
@@ -156,6 +167,8 @@ def _check_finite(x: Any) -> Any:
 
 NEUTRAL_BEFORE: dict[Any, int] = {np.add: 0, np.multiply: 1}
 NEUTRAL: dict[Any, int] = {**NEUTRAL_BEFORE, np.subtract: 0, np.true_divide: 1}
+# functions that raise, while recordings are gone through, where they make of finite numbers others
+NUMPYS = frozenset(x for x in vars(np).values() if isinstance(x, np.ufunc))
 RAISING = frozenset(
     {
         *(np.true_divide, np.floor_divide, np.remainder, np.fmod, np.power, np.float_power, np.exp),

@@ -34,6 +34,7 @@ from engine.statespace.recorded.numbers import (
     whole,
 )
 
+CHOICES = 30  # points of an interpolation that differ from row to row, of which np.choose takes 32
 # packages whose functions are not looked into
 KNOWN = frozenset({*sys.stdlib_module_names, "numpy", "scipy", "numba", "engine"})
 OF_NUMPY = (FunctionType, BuiltinFunctionType, type(np.diag))
@@ -181,13 +182,18 @@ def _dist(p: Any, q: Any) -> Any:
 
 def _close(x: Any, y: Any, *, rel_tol: float = 1e-9, abs_tol: float = 0.0) -> Any:
     """``math.isclose``."""
-    allowed = np.maximum(rel_tol * np.maximum(abs(x), abs(y)), abs_tol)
-    return (x == y) | (abs(x - y) <= allowed)
+    return _within(x, y, np.maximum(rel_tol * np.maximum(abs(x), abs(y)), abs_tol))
 
 
 def _all_close(x: Any, y: Any, rtol: float = 1e-5, atol: float = 1e-8) -> Any:
     """``np.isclose``."""
-    return np.less_equal(np.abs(np.subtract(x, y)), np.add(atol, np.multiply(rtol, np.abs(y))))
+    return _within(x, y, np.add(atol, np.multiply(rtol, np.abs(y))))
+
+
+def _within(x: Any, y: Any, allowed: Any) -> Any:
+    """Whether two are equal or no further apart than is allowed, which infinite ones always are."""
+    apart = np.abs(np.subtract(x, y))
+    return np.equal(x, y) | (np.less_equal(apart, allowed) & np.isfinite(apart))
 
 
 def _select(conditions: Any, choices: Any, default: Any = 0) -> Any:
@@ -350,7 +356,6 @@ STAND_INS: dict[Any, Any] = {
     **{function: _content(function) for function in (np.array, np.asarray, np.ascontiguousarray)},
     np.asanyarray: _content(np.asanyarray),
     np.where: _each(np.where),
-    np.clip: _each(np.clip),
     np.interp: _each(np.interp),
     np.linalg.inv: _arrays(np.linalg.inv),
     np.linalg.solve: _solve,
@@ -374,13 +379,37 @@ NAMES = {name: STAND_INS[getattr(builtins, name)] for name in ("float", "isinsta
 
 
 def _interp(x: Any, xp: Any, fp: Any, **options: Any) -> Any:
-    """``np.interp`` between points that do not differ."""
-    if options or has_traced([xp, fp]):
+    """``np.interp`` between points at the same places."""
+    xp, fp = (np.asarray(_nested(each)) for each in (xp, fp))
+    if options or has_traced(xp):
         raise UntraceableError
-    xp, fp = (np.asarray(each, dtype=float) for each in (xp, fp))
-    return _each(lambda value: np.interp(value, xp, fp))(x)
+    xp = xp.astype(float)
+    if not has_traced(fp):
+        fp = fp.astype(float)
+        return _each(lambda value: np.interp(value, xp, fp))(x)
+    if (np.diff(xp) <= 0.0).any() or len(xp) < 2:
+        raise UntraceableError
+
+    def between(value: Any, *heights: Any) -> Any:
+        at = np.clip(np.searchsorted(xp, value, side="right") - 1, 0, len(xp) - 2)
+        low, high = np.choose(at, heights[:-1]), np.choose(at, heights[1:])
+        inside = low + (high - low) / (xp[at + 1] - xp[at]) * (value - xp[at])
+        ends = np.where(value >= xp[-1], heights[-1], inside)
+        return np.where(value <= xp[0], heights[0], ends)
+
+    if len(xp) > CHOICES:
+        raise UntraceableError
+    each = np.frompyfunc(lambda value: record(between, (value, *fp.tolist())), 1, 1)
+    return traced_array(each(np.asarray(_as_objects(x)).view(np.ndarray)))
 
 
+def _clip(x: Any, a_min: Any = None, a_max: Any = None) -> Any:
+    """``np.clip``."""
+    x = x if a_min is None else np.maximum(x, a_min)
+    return x if a_max is None else np.minimum(x, a_max)
+
+
+STAND_INS[np.clip] = _unless_traced(np.clip, _clip)
 STAND_INS[np.interp] = _interp
 by_entries.update({function: STAND_INS[function] for function in (np.where, np.clip, np.interp)})
 by_entries.update(
@@ -446,10 +475,14 @@ class _List(list[Any]):
 
 
 def _kept(value: Any, seen: dict[int, Any]) -> Any:
-    """A dictionary, list or tuple with stand-ins for what is in it."""
+    """A dictionary, list or tuple with stand-ins for what is in it, unless that is much."""
+
+    def own(one: Any) -> Any:
+        return stand_in(one, seen) if len(value) <= OPENED else one
+
     if isinstance(value, dict):
-        return _Dict({key: stand_in(one, seen) for key, one in value.items()})
-    each = [stand_in(one, seen) for one in value]
+        return _Dict({key: own(one) for key, one in value.items()})
+    each = [own(one) for one in value]
     return tuple(each) if isinstance(value, tuple) else _List(each, value)
 
 
@@ -474,7 +507,7 @@ class _Module:
 def stand_in(value: Any, seen: dict[int, Any]) -> Any:
     """What is used instead of a value under a global name; itself for most."""
     if type(value) in (dict, list, tuple):
-        return _kept(value, seen) if len(value) <= OPENED else value
+        return _kept(value, seen)
     try:
         if value in STAND_INS:
             return STAND_INS[value]

@@ -425,6 +425,18 @@ def zeros(a, u, t, dt, th):
     )
 
 
+def infinite(a, u, t, dt, th):
+    v = float(u[0])
+    close = math.isclose(v, 0.0, abs_tol=0.1) or np.isclose(v, 0.0, rtol=0.1)
+    return [1.0 if close else math.sin(th.w), 1.0 if np.isclose(0.0, v) else 0.0], SHAPE[:, :1], Q
+
+
+def zeros_of_roots(a, u, t, dt, th):
+    with np.errstate(all="ignore"):
+        x = np.array([np.sqrt(u[0]), u[1]])
+        return np.array([[0.0, 1.0], [1.0, math.sin(th.w)]]) @ x, SHAPE[:, :1], Q
+
+
 def python_extremes(a, u, t, dt, th):
     return [max(0.0, a[0, 0]), min(a[0, 0], math.sin(th.w))], SHAPE[:, :1], Q
 
@@ -432,7 +444,7 @@ def python_extremes(a, u, t, dt, th):
 Q = np.diag([0.1, 0.1])
 DELICATE = (
     *(counted, counted_seldom, of_booleans, bits, catches_all, catches_errors, aliases),
-    *(zeros, python_extremes),
+    *(zeros, zeros_of_roots, python_extremes, infinite),
 )
 
 
@@ -462,6 +474,8 @@ def test_a_recording_of_harmless_rows_is_right_for_others_or_refused(written):
         u = np.clip(u, -0.9, 0.9) if seed < 2 else u
         if written in (zeros, python_extremes) and seed > 2:
             a[::3] = np.nan
+        if written is infinite and seed > 2:
+            u[0, ::3] = np.inf
         try:
             f, _, _ = made(a, u, t, dt, theta)
         except NotByRowsError:
@@ -530,11 +544,17 @@ def kinds(a, u, t, dt, th):
     return [gain, level + max(abs(x) for x in (0.5, -0.7))], SHAPE[:, :1], Q
 
 
+def heights(a, u, t, dt, th):
+    rate = np.interp(u[0], [-1.0, 0.0, 0.5], [th.w, 0.0, th.k]) + np.interp(0.2, (0, 1), (th.k, t))
+    limited = np.clip(u[1], a_min=-0.3, a_max=math.sin(th.w)) + np.clip(u, None, 0.1)[0]
+    return [a[:, 0] + rate, limited], SHAPE[:, :1], Q
+
+
 RATES = {"lift": helper}
 
 
 @pytest.mark.parametrize(
-    "written", [masks, opened, silent, decided, kinds], ids=lambda f: f.__name__
+    "written", [masks, opened, silent, decided, kinds, heights], ids=lambda f: f.__name__
 )
 def test_more_that_is_written_so_is_recorded(written):
     model = model_of(written)
