@@ -8,7 +8,9 @@ ch. 6). The list of operations is then gone through for all rows at once (:mod:`
 part of the list: rows for which one turns out otherwise are recorded by themselves.
 
 What cannot be written down (a number that becomes an index, a text or a key) is refused, and the function is
-called row by row. What can is tested as any call of many rows is, by :mod:`engine.statespace.evaluation`.
+called row by row; so is a function that reads what it left at its last call. Each way through it is compared
+with a call of the function for the row on which it was recorded, and all are tested as any call of many rows
+is, by :mod:`engine.statespace.evaluation`.
 """
 
 from engine.statespace.recorded.program import NotByRowsError, Recorded, by_rows

@@ -524,7 +524,8 @@ def stand_in(value: Any, seen: dict[int, Any]) -> Any:
     if isinstance(value, FunctionType):  # looked into when it is called
         return lambda *args, **options: traceable(value, seen)(*args, **options)
     if isinstance(value, MethodType) and isinstance(value.__func__, FunctionType):
-        return MethodType(traceable(value.__func__, seen), value.__self__)
+        own = traceable(value.__func__, seen, type(value.__self__))
+        return MethodType(own, value.__self__)
     if isinstance(value, partial):
         return partial(stand_in(value.func, seen), *value.args, **value.keywords)
     return value
@@ -538,18 +539,18 @@ def _of_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *args, **options: opened(function(*args, **options))
 
 
-def traceable(function: Any, seen: dict[int, Any] | None = None) -> Any:
-    """The same function with stand-ins under its global and enclosing names."""
+def traceable(function: Any, seen: dict[int, Any] | None = None, kind: type = object) -> Any:
+    """The same function with stand-ins under its global and enclosing names; of a ``kind``, if a method."""
     seen = {} if seen is None else seen
     called = type(function).__call__
     if not isinstance(function, FunctionType):
         if isinstance(called, FunctionType) and _package_of(called) not in KNOWN:
-            return MethodType(traceable(called, seen), function)
+            return MethodType(traceable(called, seen, type(function)), function)
         return stand_in(function, seen)
     if _package_of(function) in KNOWN:
         return function
     if id(function) not in seen:
-        if _remembers(function.__code__, {*function.__code__.co_freevars}):
+        if _remembers(function, kind):
             raise UntraceableError
         names = dict(function.__globals__)
         closure = tuple(CellType() for _ in function.__closure__ or ())
@@ -572,12 +573,30 @@ def _names_of(code: Any) -> set[str]:
     return {*code.co_names}.union(*map(_names_of, inner))
 
 
-def _remembers(code: Any, free: set[str]) -> bool:
-    """Whether a function, or one within it, reads what it leaves for its next call.
+def _remembers(function: FunctionType, kind: type) -> bool:
+    """Whether a function, or a method it calls, reads what it leaves for its next call.
 
     Counting calls (``self.calls += 1``) is no reading.
     """
-    loaded, stored = _uses_of(code, free)
+    loaded: Counter[Any] = Counter()
+    stored: set[Any] = set()
+    todo, met = [(function, kind)], set()
+    while todo:
+        one = todo.pop()
+        if one in met:
+            continue
+        met.add(one)
+        code, names = one[0].__code__, _names_of(one[0].__code__)
+        own = _uses_of(code, {*code.co_freevars})
+        loaded.update(own[0])
+        stored |= own[1]
+        kept = [one[0].__globals__[name] for name in names & one[0].__globals__.keys()]
+        kept += [cell.cell_contents for cell in one[0].__closure__ or ()]
+        for each in {one[1], *map(type, kept)}:
+            if _package_of(each) not in KNOWN:
+                found = [getattr(each, name, None) for name in names]
+                methods = [getattr(x, "fget", x) for x in found]
+                todo += [(x, each) for x in methods if isinstance(x, FunctionType)]
     return any(loaded[use] > 0 for use in stored)
 
 

@@ -585,6 +585,13 @@ class Remembering:
             self.on = u[0] > 0
         return [math.sin(th.w) * (2.0 if self.on else 1.0), 0.0], SHAPE[:, :1], Q
 
+    def switch(self, x):
+        self.on = x > 0.5 or (self.on and x > -0.5)
+        return 2.0 if self.on else 1.0
+
+    def through_method(self, a, u, t, dt, th):
+        return [math.sin(th.w) * self.switch(u[0]), 0.0], SHAPE[:, :1], Q
+
     def logged(self, a, u, t, dt, th):
         self.log.append(th.w)
         return [math.sin(th.w), u[0]], SHAPE[:, :1], Q
@@ -610,7 +617,12 @@ def test_a_function_that_assigns_to_what_stays_is_not_recorded():
         return [math.sin(th.w) * before, 0.0], SHAPE[:, :1], Q
 
     plant = Remembering()
-    for written in (enclosed, in_table, in_list, plant.switched, plant.cached):
+
+    def through_object(a, u, t, dt, th):
+        return [math.sin(th.w) * plant.switch(u[0]), 0.0], SHAPE[:, :1], Q
+
+    of_plant = plant.switched, plant.cached, plant.through_method, through_object
+    for written in (enclosed, in_table, in_list, *of_plant):
         calls = by_rows(written, ((2,), (2, 1), (2, 2)))
         a, u, t, dt, theta = rows_of(0, model_of(loops))
         with pytest.raises(NotByRowsError):
