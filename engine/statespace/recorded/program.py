@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from engine.statespace.compare import NOISE
 from engine.statespace.reads import reads
+from engine.statespace.recorded.arrays import TracedArray
 from engine.statespace.recorded.numbers import (
-    Operation,
     Recorder,
     Traced,
-    TracedArray,
     UntraceableError,
 )
+from engine.statespace.recorded.paths import NotByRowsError, Output, Part, Path, chain, graft
 from engine.statespace.recorded.stand_ins import traceable
 from engine.statespace.rows import PERTURBATION, Array, Indices, is_rows
 
@@ -25,43 +24,6 @@ STEPS = 32  # lengths of time steps for each of which a function is recorded tha
 TRIES = 8  # rows at which nothing could be calculated, until it is given up
 SAME = 1e-9  # relative: a number that is recorded is the function's own
 ENTRIES = 2**18  # numbers kept at once: rows are taken in parts
-
-
-class NotByRowsError(Exception):
-    """A function cannot be recorded; only here, where the numbers of these rows are why, or not at all."""
-
-    def __init__(self, here: bool) -> None:
-        super().__init__("written so that it cannot be evaluated for many rows")
-        self.here = here
-
-
-@dataclass(frozen=True)
-class Output:
-    """One result: ``shape``, the ``fixed`` entries (n,), and pairs (entry, number of a value) of the others."""
-
-    shape: tuple[int, ...]
-    fixed: Array
-    moving: Sequence[tuple[int, int]]
-
-
-@dataclass(frozen=True)
-class Part:
-    """Rows that take one path: its ``outputs`` with the values of their moving entries."""
-
-    at: slice | Indices
-    outputs: Sequence[Output | None]
-    values: Sequence[Sequence[Any]]
-
-
-@dataclass
-class Path:
-    """Operations up to a condition or the end, where the outputs are known."""
-
-    operations: list[Operation] = field(default_factory=list)
-    constants: dict[int, Any] = field(default_factory=dict)
-    condition: int | None = None
-    then: dict[bool, Path] = field(default_factory=dict)
-    outputs: Sequence[Output | None] = ()
 
 
 class Recorded:
@@ -217,10 +179,10 @@ class Recorded:
         self._paths += 1
         self.goes_by_rows = self.goes_by_rows or recorder.goes_by_rows
         self._longest = max(self._longest, recorder.values)
-        path = _chain(recorder, outputs)
+        path = chain(recorder, outputs)
         first = self._first.setdefault(key, path)
         if first is not path:
-            _graft(first, path)
+            graft(first, path)
         return first
 
     def _given(self, numbers: Sequence[Any], arguments: Any) -> Sequence[Any]:
@@ -303,38 +265,6 @@ def _near(x: Array, y: Array, allowed: Any) -> bool:
     return x.shape == y.shape and bool(
         np.all((np.abs(x - y) <= allowed) | (x == y) | (np.isnan(x) & np.isnan(y)))
     )
-
-
-def _chain(recorder: Recorder, outputs: Sequence[Output | None]) -> Path:
-    """What was recorded as paths one after the other."""
-    first = path = Path(constants=recorder.constants)
-    for step in recorder.done:
-        if isinstance(step, Operation):
-            path.operations.append(step)
-        else:
-            path.condition = step.of
-            path.then[step.held] = path = Path()
-    path.outputs = outputs
-    return first
-
-
-def _graft(known: Path, new: Path) -> None:
-    """Add a path to those that begin as it does."""
-    while True:
-        same = known.condition == new.condition and len(known.operations) == len(new.operations)
-        if known.condition is None and same:
-            return  # it is known already
-        if known.condition is None or not same:
-            raise NotByRowsError(
-                here=False
-            )  # the same conditions did not lead to the same operations
-        ((held, rest),) = new.then.items()
-        if held not in known.then:
-            rest.constants = new.constants | rest.constants
-            known.then[held] = rest
-            return
-        rest.constants = new.constants | rest.constants
-        known, new = known.then[held], rest
 
 
 def by_rows(function: Any, shapes: Sequence[tuple[int, ...]]) -> Any:

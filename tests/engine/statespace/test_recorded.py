@@ -19,7 +19,7 @@ import engine
 from engine import Gaussian, MixedModel, Parameter, Series
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.recorded import NotByRowsError, by_rows
-from engine.statespace.recorded.program import Path, _graft
+from engine.statespace.recorded.paths import Path, graft
 
 M = 60
 GRAVITY = 9.81
@@ -684,5 +684,5 @@ def test_numbers_drawn_seldom_are_not_recorded():
 
 def test_a_condition_that_rounding_decides_is_left_to_the_function_for_this_call():
     path = Path(condition=3, then={True: Path()})
-    _graft(path, Path(condition=3, then={True: Path()}))  # it is known already
+    graft(path, Path(condition=3, then={True: Path()}))  # it is known already
     assert list(path.then) == [True]

@@ -1,0 +1,215 @@
+"""Arrays of numbers that write down what is calculated with them, and NumPy's functions of these."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.statespace.recorded.numbers import Recorder, Traced, UntraceableError, quiet, record
+
+OPENED = 1_000  # entries of an array into which a traced number may be written
+
+
+def applied(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, Any]) -> Any:
+    """A function of NumPy, entry by entry; sums and products of matrices by the operators of the entries."""
+    out = options.pop("out", (None,))[0]
+    if not Recorder.running():  # a function remembers an array of an earlier call
+        result = getattr(ufunc, method)(*map(as_numbers, inputs), **options)
+        if out is None:
+            return result
+        out[...] = result
+        return out
+    plain = [boxed(x) for x in inputs]
+    if method == "__call__" and ufunc.signature is None and ufunc.nout == 1:
+        if options:
+            raise UntraceableError
+        own = quiet(ufunc)
+        each = np.frompyfunc(lambda *xs: record(own, xs), ufunc.nin, 1)
+        result = each(*plain)
+    elif method == "reduce" and ufunc in (np.maximum, np.minimum):
+        each = np.frompyfunc(lambda *xs: record(ufunc, xs), 2, 1)
+        result = each.reduce(*plain, **options)
+    else:
+        if ufunc is np.add:
+            plain[0] = np.frompyfunc(counted, 1, 1)(plain[0])
+        result = getattr(ufunc, method)(*plain, **options)
+    if out is not None:
+        out[...] = result
+        return out
+    return traced_array(result)
+
+
+def counted(x: Any) -> Any:
+    """What is true as one, in a sum."""
+    boolean = isinstance(x, Traced) and isinstance(x.value, bool | np.bool_)
+    return record(np.add, (x, 0)) if boolean else x
+
+
+def as_float(x: Any) -> Any:
+    """What is true as one, elsewhere."""
+    boolean = isinstance(x, Traced) and isinstance(x.value, bool | np.bool_)
+    return record(np.multiply, (x, 1.0)) if boolean else x
+
+
+def boxed(x: Any) -> Any:
+    """Without the overrides that called this."""
+    if isinstance(x, Traced):
+        box = np.empty((), dtype=object)
+        box[()] = x
+        return box
+    return x.view(np.ndarray) if isinstance(x, TracedArray) else x
+
+
+def traced_array(x: Any) -> Any:
+    """Arrays of objects as arrays of traced numbers; everything else as it is."""
+    if isinstance(x, np.ndarray) and x.dtype == object and x.__class__ is not TracedArray:
+        return x.view(TracedArray)
+    return x
+
+
+def has_traced(x: Any) -> bool:
+    """Whether there is a traced number in it."""
+    if isinstance(x, np.ndarray):
+        return x.dtype == object and any(isinstance(entry, Traced) for entry in x.flat)
+    if isinstance(x, list | tuple):
+        return any(map(has_traced, x))
+    return isinstance(x, Traced)
+
+
+def _by_entries(self: Any, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+    return applied(ufunc, method, inputs, options)
+
+
+def _moved(
+    self: Any, function: Any, types: Any, args: Iterable[Any], options: Mapping[str, Any]
+) -> Any:
+    return of_arrays(function, args, options)
+
+
+class TracedArray(np.ndarray[Any, Any]):
+    """An array of objects, numbers and traced numbers, that does what arrays of numbers do."""
+
+    __array_ufunc__ = _by_entries
+    __array_function__ = _moved  # type: ignore[assignment]
+
+    def astype(self, dtype: Any, *args: Any, **options: Any) -> Any:
+        """A copy as numbers."""
+        if np.dtype(dtype).char != "d":
+            return np.ndarray.astype(self, dtype, *args, **options)
+        return traced_array(
+            np.frompyfunc(as_float, 1, 1)(self.view(np.ndarray)).reshape(self.shape)
+        )
+
+    def __getitem__(self, key: Any) -> Any:
+        return super().__getitem__(_decided(key))
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        super().__setitem__(_decided(key), value)
+
+
+def _decided(key: Any) -> Any:
+    """An index of which conditions are a part, with their answers."""
+    if isinstance(key, tuple):
+        return tuple(map(_decided, key))
+    if isinstance(key, Traced) and isinstance(key.value, bool | np.bool_):
+        return bool(key)
+    if isinstance(key, np.ndarray) and key.dtype == object:
+        answers = [_decided(x) for x in key.flat]
+        return np.array(answers, dtype=None if answers else bool).reshape(key.shape)
+    return key
+
+
+def of_arrays(function: Any, args: Iterable[Any], options: Mapping[str, Any]) -> Any:
+    """A function of NumPy on arrays of objects: ``append``, ``stack``, ``diag``, ... move entries only."""
+    known = by_entries.get(function)
+    if known is not None and Recorder.running():
+        return known(*args, **options)
+    if not (Recorder.running() and has_traced([*args, *options.values()])):
+        plain = {name: as_numbers(x) for name, x in options.items()}
+        found = function(*map(as_numbers, args), **plain)
+        return opened(found) if Recorder.running() else found
+    return traced_array(function(*map(_stripped, args), **options))
+
+
+def as_numbers(x: Any) -> Any:
+    """Arrays of objects that are numbers, as numbers."""
+    if type(x) in (list, tuple):
+        return type(x)(map(as_numbers, x))
+    if isinstance(x, Traced):
+        return x.item()
+    if not isinstance(x, TracedArray):
+        return x
+    entries = x.ravel().tolist()
+    whole = bool(entries) and all(isinstance(entry, bool | int | np.integer) for entry in entries)
+    return np.array(entries, dtype=None if whole else float).reshape(x.shape)
+
+
+def opened(x: Any) -> Any:
+    """Arrays of numbers as such that take traced ones; everything else as it is."""
+    if isinstance(x, np.ndarray) and x.dtype.char == "d" and x.size <= OPENED:
+        return x.astype(object).view(TracedArray)
+    return traced_array(x)
+
+
+def _stripped(x: Any) -> Any:
+    if isinstance(x, list | tuple):
+        return type(x)(map(_stripped, x)) if type(x) in (list, tuple) else x
+    return boxed(x)
+
+
+# functions of NumPy that are not told by the entries' own operators, filled by :mod:`.stand_ins`
+by_entries: dict[Any, Callable[..., Any]] = {}
+
+
+def record_arrays(function: Callable[..., Any], arrays: Sequence[Any]) -> tuple[TracedArray, ...]:
+    """A function of whole arrays, which returns several and takes leading axes for the rows."""
+    whole = record(OfArrays(function, [np.shape(x) for x in arrays]), _entries(arrays))
+    out = []
+    for k, result in enumerate(whole.value):
+        each = np.empty(result.shape, dtype=object)
+        for at in np.ndindex(*result.shape):
+            each[at] = record(_Entry(k, at), (whole,))
+        out.append(each.view(TracedArray))
+    return tuple(out)
+
+
+def _entries(arrays: Sequence[Any]) -> list[Any]:
+    return [entry for x in arrays for entry in np.asarray(x, dtype=object).flat]
+
+
+class OfArrays:
+    """``function`` of arrays of some shapes, given by their entries, numbers or (M,)."""
+
+    def __init__(self, function: Callable[..., Any], shapes: Sequence[tuple[int, ...]]) -> None:
+        self.function, self.shapes = function, shapes
+
+    def __call__(self, *values: Any) -> Any:
+        """What the function returns, for the entries of its arrays one after the other."""
+        lead = next((np.shape(value) for value in values if np.ndim(value)), ())
+        arrays, i = [], 0
+        for shape in self.shapes:
+            n = math.prod(shape)
+            array = np.empty((*lead, n))
+            for j in range(n):
+                array[..., j] = values[i + j]
+            arrays.append(array.reshape((*lead, *shape)))
+            i += n
+        return self.function(*arrays)
+
+
+class _Entry:
+    """One entry of the k-th of several arrays (..., r, c)."""
+
+    def __init__(self, k: int, at: tuple[int, ...]) -> None:
+        self.k, self.at = k, at
+
+    def __call__(self, arrays: Any) -> Any:
+        return arrays[self.k][(..., *self.at)]
+
+
+# a number among arrays is one, too
+for _name, _method in (("__array_ufunc__", _by_entries), ("__array_function__", _moved)):
+    setattr(Traced, _name, _method)

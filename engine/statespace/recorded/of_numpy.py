@@ -1,0 +1,223 @@
+"""What stands in for functions of NumPy and SciPy, and for :func:`engine.discretize`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from engine.statespace.discretization import discretize
+from engine.statespace.recorded.arrays import (
+    TracedArray,
+    applied,
+    as_numbers,
+    boxed,
+    by_entries,
+    has_traced,
+    opened,
+    record_arrays,
+    traced_array,
+)
+from engine.statespace.recorded.numbers import Traced, UntraceableError, record
+from engine.statespace.recorded.of_python import kind_of, unless_traced, within
+
+CHOICES = 30  # points of an interpolation that differ from row to row, of which np.choose takes 32
+
+
+def _each(function: Callable[..., Any]) -> Callable[..., Any]:
+    """By entries of the arguments, numbers or arrays of them."""
+
+    def call(*operands: Any) -> Any:
+        if not has_traced(operands):
+            return opened(function(*map(as_numbers, operands)))
+        if any(isinstance(x, np.ndarray | list | tuple) for x in operands):
+            plain = [np.asarray(_as_objects(x)).view(np.ndarray) for x in operands]
+            found = np.frompyfunc(lambda *xs: record(function, xs), len(operands), 1)(*plain)
+            return traced_array(found)
+        return record(function, operands)
+
+    return call
+
+
+def _as_objects(x: Any) -> Any:
+    return np.asarray(boxed(x), dtype=object)
+
+
+def _made(function: Any) -> Callable[..., Any]:
+    """A new array of numbers that takes traced ones."""
+
+    def call(*args: Any, **options: Any) -> Any:
+        dtype = kind_of(options.pop("dtype", None))
+        if dtype is not None and np.dtype(dtype).char != "d":
+            return function(*args, dtype=dtype, **options)
+        if function is np.full and has_traced([*args, *options.values()]):
+            return function(*args, **{**options, "dtype": object}).view(TracedArray)
+        if args and isinstance(args[0], TracedArray):  # np.zeros_like(x)
+            args = (np.zeros(args[0].shape), *args[1:])
+        return opened(function(*args, **options))
+
+    return call
+
+
+def _content(function: Callable[..., Any]) -> Callable[..., Any]:
+    """An array made of what is given."""
+
+    def call(given: Any, dtype: Any = None, **options: Any) -> Any:
+        dtype = kind_of(dtype)
+        number = dtype is None or np.dtype(dtype).char == "d"
+        if isinstance(given, TracedArray) and function is not np.array and not options and number:
+            return given
+        if not has_traced(given):
+            return opened(function(as_numbers(given), dtype=dtype, **options))
+        if not number or options.keys() - {"copy", "ndmin"}:
+            raise UntraceableError
+        out = _nested(given) if dtype is None else _nested(given).astype(float)
+        return out.reshape((1,) * (options.get("ndmin", 0) - out.ndim) + out.shape)
+
+    return call
+
+
+def _nested(given: Any) -> Any:
+    """An array of objects of nested lists whose innermost entries are numbers or arrays of one shape."""
+    if isinstance(given, list | tuple):
+        return np.stack([np.asarray(_nested(one)) for one in given]).view(TracedArray)
+    return _as_objects(given).copy().view(TracedArray)
+
+
+def _arrays(function: Callable[..., Any], single: bool = True) -> Callable[..., Any]:
+    """A function of whole matrices that takes leading axes."""
+
+    def call(*arrays: Any) -> Any:
+        if not has_traced([np.asarray(_nested(x)) for x in arrays]):
+            found = function(*map(as_numbers, arrays))
+            return opened(found) if single else tuple(map(opened, found))
+        found = record_arrays(lambda *xs: (function(*xs),) if single else function(*xs), arrays)
+        return found[0] if single else found
+
+    return call
+
+
+def _solve(A: Any, b: Any) -> Any:
+    """``np.linalg.solve``, of a vector or a matrix."""
+    if np.ndim(b) == 2:
+        return _arrays(np.linalg.solve)(A, b)
+    return _arrays(lambda A, b: np.linalg.solve(A, b[..., None])[..., 0])(A, b)
+
+
+def _discretize(F: Any, G: Any = None, Qc: Any = None, *, dt: Any) -> Any:
+    """:func:`engine.discretize` of traced matrices."""
+    n = np.shape(F)[-1]
+    G = np.zeros((n, 0)) if G is None else G
+    Qc = np.zeros((n, n)) if Qc is None else Qc
+    if np.ndim(F) > 2 or np.ndim(dt) > 0:
+        raise UntraceableError
+    return _arrays(lambda F, G, Qc, dt: discretize(F, G, Qc, dt=dt), single=False)(F, G, Qc, dt)
+
+
+def _norm(x: Any) -> Any:
+    """``np.linalg.norm`` of a vector."""
+    if np.ndim(x) != 1:
+        raise UntraceableError
+    return np.sqrt(sum(_as_objects(x).view(TracedArray) ** 2))
+
+
+def _all_close(x: Any, y: Any, rtol: float = 1e-5, atol: float = 1e-8) -> Any:
+    """``np.isclose``."""
+    return within(x, y, np.add(atol, np.multiply(rtol, np.abs(y))))
+
+
+def _select(conditions: Any, choices: Any, default: Any = 0) -> Any:
+    """``np.select``."""
+    out = default
+    for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
+        out = _where(condition, choice, out)
+    return out
+
+
+def _interp(x: Any, xp: Any, fp: Any, **options: Any) -> Any:
+    """``np.interp`` between points at the same places."""
+    xp, fp = (np.asarray(_nested(each)) for each in (xp, fp))
+    if options or has_traced(xp):
+        raise UntraceableError
+    xp = xp.astype(float)
+    if not has_traced(fp):
+        fp = fp.astype(float)
+        return _each(lambda value: np.interp(value, xp, fp))(x)
+    if (np.diff(xp) <= 0.0).any() or len(xp) < 2:
+        raise UntraceableError
+
+    def between(value: Any, *heights: Any) -> Any:
+        at = np.clip(np.searchsorted(xp, value, side="right") - 1, 0, len(xp) - 2)
+        low, high = np.choose(at, heights[:-1]), np.choose(at, heights[1:])
+        inside = low + (high - low) / (xp[at + 1] - xp[at]) * (value - xp[at])
+        ends = np.where(value >= xp[-1], heights[-1], inside)
+        return np.where(value <= xp[0], heights[0], ends)
+
+    if len(xp) > CHOICES:
+        raise UntraceableError
+    each = np.frompyfunc(lambda value: record(between, (value, *fp.tolist())), 1, 1)
+    return traced_array(each(np.asarray(_as_objects(x)).view(np.ndarray)))
+
+
+def _clip(x: Any, a_min: Any = None, a_max: Any = None) -> Any:
+    """``np.clip``."""
+    x = x if a_min is None else np.maximum(x, a_min)
+    return x if a_max is None else np.minimum(x, a_max)
+
+
+def _sum(x: Any, axis: Any = None, **options: Any) -> Any:
+    """``np.sum``, which counts what is true."""
+    return applied(np.add, "reduce", (_nested(x),), {"axis": axis, **options})
+
+
+def _errstate(**options: Any) -> Any:
+    """``np.errstate``; what NumPy does in silence is recorded only."""
+    if "raise" in options.values() or "call" in options.values():
+        raise UntraceableError
+    return np.errstate(**options)
+
+
+class RowsOfNumPy:
+    """``np.r_`` and ``np.c_``."""
+
+    def __init__(self, own: Any) -> None:
+        self._own = own
+
+    def __getitem__(self, key: Any) -> Any:
+        return opened(self._own[key])
+
+
+_where = _each(np.where)
+MADE = (np.zeros, np.ones, np.empty, np.eye, np.identity, np.full)
+MADE_LIKE = (np.zeros_like, np.ones_like, np.empty_like)
+CONTENT = (np.array, np.asarray, np.asanyarray, np.ascontiguousarray)
+OF_ENTRIES: dict[Any, Any] = {
+    np.where: _where,
+    np.clip: unless_traced(np.clip, _clip),
+    np.interp: _interp,
+    np.select: unless_traced(np.select, _select),
+    np.isclose: unless_traced(np.isclose, _all_close),
+    np.allclose: unless_traced(
+        np.allclose, lambda *args, **options: bool(np.all(_all_close(*args, **options)))
+    ),
+    np.linalg.inv: _arrays(np.linalg.inv),
+    np.linalg.solve: _solve,
+    np.linalg.norm: _norm,
+    np.linalg.det: _arrays(np.linalg.det),
+    np.linalg.cholesky: _arrays(np.linalg.cholesky),
+    np.linalg.pinv: _arrays(np.linalg.pinv),
+}
+OF_NUMPY: dict[Any, Any] = {
+    **OF_ENTRIES,
+    **{function: _made(function) for function in (*MADE, *MADE_LIKE)},
+    **{function: _content(function) for function in CONTENT},
+    np.errstate: _errstate,
+    np.isscalar: lambda x: isinstance(x, Traced) or np.isscalar(x),
+    scipy.linalg.inv: _arrays(np.linalg.inv),
+    scipy.linalg.solve: _solve,
+    scipy.linalg.expm: _arrays(scipy.linalg.expm),
+    discretize: _discretize,
+}
+by_entries.update({**OF_ENTRIES, np.sum: _sum})

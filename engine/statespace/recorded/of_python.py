@@ -1,0 +1,178 @@
+"""What stands in for functions of Python: of :mod:`math`, ``float``, ``isinstance``, ``max`` and ``min``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import scipy.special
+
+from engine.statespace.recorded.arrays import TracedArray, as_float, as_numbers, has_traced, opened
+from engine.statespace.recorded.numbers import Traced, record, whole
+
+
+def _plain_or(function: Callable[..., Any], ufunc: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of numbers, by another of rows where they are traced."""
+
+    def call(*operands: Any) -> Any:
+        if not has_traced(operands):
+            return function(*operands)
+        return record(ufunc, [x.item() if isinstance(x, TracedArray) else x for x in operands])
+
+    return call
+
+
+def unless_traced(function: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
+    """A function, or what does the same with traced numbers."""
+
+    def call(*args: Any, **options: Any) -> Any:
+        if has_traced([*args, *options.values()]):
+            return own(*args, **options)
+        return opened(function(*map(as_numbers, args), **options))
+
+    return call
+
+
+def _log(x: Any, base: Any = None) -> Any:
+    """``math.log``."""
+    own = _plain_or(math.log, np.log)
+    return own(x) if base is None else own(x) / own(base)
+
+
+def _hypot(*xs: Any) -> Any:
+    """``math.hypot`` of any number of numbers."""
+    if not has_traced(xs):
+        return math.hypot(*xs)
+    two = _plain_or(math.hypot, np.hypot)
+    return reduce(two, xs) if len(xs) > 1 else abs(xs[0])
+
+
+def _dist(p: Any, q: Any) -> Any:
+    """``math.dist``."""
+    return _hypot(*(x - y for x, y in zip(p, q, strict=True)))
+
+
+def _close(x: Any, y: Any, *, rel_tol: float = 1e-9, abs_tol: float = 0.0) -> Any:
+    """``math.isclose``."""
+    return within(x, y, np.maximum(rel_tol * np.maximum(abs(x), abs(y)), abs_tol))
+
+
+def within(x: Any, y: Any, allowed: Any) -> Any:
+    """Whether two are equal or no further apart than is allowed, which infinite ones always are."""
+    apart = np.abs(np.subtract(x, y))
+    return np.equal(x, y) | (np.less_equal(apart, allowed) & np.isfinite(apart))
+
+
+def _larger(x: Any, y: Any) -> Any:
+    """``max`` of Python, the first of both where one is NaN."""
+    return np.where(np.greater(y, x), y, x)
+
+
+def _smaller(x: Any, y: Any) -> Any:
+    """``min`` of Python."""
+    return np.where(np.less(y, x), y, x)
+
+
+def _of_numbers_only(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``gamma`` and the like of :mod:`math`, which raise where those of arrays give what is not finite."""
+
+    def call(x: Any) -> Any:
+        out = function(x)
+        if not np.isfinite(out).all():
+            raise FloatingPointError("not a finite number")
+        return out
+
+    return call
+
+
+def _extreme(function: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
+    """``max`` or ``min`` of numbers."""
+
+    def call(*given: Any, **options: Any) -> Any:
+        values = list(given[0]) if len(given) == 1 else list(given)
+        if options or not has_traced(values):
+            return function(values, **options)
+        out = values[0]
+        for value in values[1:]:
+            out = record(own, [x.item() if isinstance(x, TracedArray) else x for x in (out, value)])
+        return out
+
+    return call
+
+
+class _Number:
+    """``float`` and the like: called, and given as a type."""
+
+    def __init__(self, kind: Any) -> None:
+        self._kind, self.dtype = kind, np.dtype(kind)
+
+    def __call__(self, x: Any = 0.0) -> Any:
+        x = x.item() if isinstance(x, TracedArray) else x
+        return as_float(x) if isinstance(x, Traced) else self._kind(x)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kind, name)
+
+    def __instancecheck__(self, x: Any) -> bool:
+        return _isinstance(x, self._kind)
+
+    def __or__(self, other: Any) -> Any:
+        return self._kind | kind_of(other)
+
+    def __ror__(self, other: Any) -> Any:
+        return other | self._kind
+
+
+def _isinstance(x: Any, kinds: Any) -> bool:
+    """What the number that is traced is."""
+    kinds = kinds if isinstance(kinds, tuple) else (kinds,)
+    own = tuple(KINDS.get(kind, kind) for kind in kinds)
+    if isinstance(x, Traced):
+        return isinstance(float(x.value) if isinstance(x.value, float) else x.value, own)
+    return isinstance(x, own)
+
+
+SAME_NAME = (
+    "exp expm1 log2 log10 log1p sqrt sin cos tan sinh cosh tanh fabs fmod copysign degrees radians isnan "
+    "isfinite isinf"
+)
+OTHER_NAME = {
+    math.asin: np.arcsin,
+    math.acos: np.arccos,
+    math.atan: np.arctan,
+    math.atan2: np.arctan2,
+    math.asinh: np.arcsinh,
+    math.acosh: np.arccosh,
+    math.atanh: np.arctanh,
+    math.pow: np.power,
+    math.erf: scipy.special.erf,
+    math.erfc: scipy.special.erfc,
+    math.gamma: _of_numbers_only(scipy.special.gamma),
+    math.lgamma: _of_numbers_only(scipy.special.gammaln),
+    math.floor: whole(np.floor),
+    math.ceil: whole(np.ceil),
+    math.trunc: whole(np.trunc),
+}
+IN_MATH = {getattr(math, name): getattr(np, name) for name in SAME_NAME.split()} | OTHER_NAME
+OF_PYTHON: dict[Any, Any] = {
+    **{function: _plain_or(function, ufunc) for function, ufunc in IN_MATH.items()},
+    math.log: _log,
+    math.hypot: _hypot,
+    math.dist: _dist,
+    math.isclose: unless_traced(math.isclose, _close),
+    np.float64: _Number(np.float64),
+    float: _Number(float),
+    isinstance: _isinstance,
+    max: _extreme(max, _larger),
+    min: _extreme(min, _smaller),
+}
+KINDS = {OF_PYTHON[kind]: kind for kind in (np.float64, float)}
+NAMES = {one.__name__: OF_PYTHON[one] for one in (float, isinstance, max, min)}
+
+
+def kind_of(dtype: Any) -> Any:
+    """The type for which a stand-in is."""
+    return KINDS.get(dtype, dtype) if callable(dtype) else dtype
