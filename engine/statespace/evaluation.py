@@ -52,6 +52,7 @@ from engine.statespace.refutation import (
 )
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, UnrepeatedError, is_numeric
+from engine.statespace.verdict import Verdict, ranges_of
 
 MANY = 30  # particles that a loop over them takes longer for than what was recorded of it
 INPUT, TIME = 1, 2  # positions of u and t among the arguments of dynamics and of measurement
@@ -74,29 +75,6 @@ def hands_rows_on(function: Any) -> Any:
     """
     function.hands_rows_on = True
     return function
-
-
-class _Verdict:
-    """Whether calls of a kind are taken, how many there were, and the next one not to be trusted.
-
-    ``trial`` makes them: of the function itself, or of what was recorded of it.
-    """
-
-    __slots__ = ("calls", "due", "next", "ranges", "takes", "trial")
-
-    def __init__(self, trial: Trial) -> None:
-        self.trial, self.takes, self.calls = trial, True, 0
-        self.ranges: Array | None = None  # of inputs and times of the calls so far, see _ranges
-        self.due = self.next = 1  # ``due`` is the next call to be looked at thoroughly
-
-    def restart(self, trial: Trial) -> None:
-        """Make calls otherwise from this one on, which is looked at."""
-        self.trial, self.takes, self.calls = trial, True, 1
-        self.due = self.next = 1
-
-    def refuse(self) -> None:
-        """No, for good."""
-        self.takes, self.next = False, 0
 
 
 class ModelFunction:
@@ -122,7 +100,7 @@ class ModelFunction:
         self._recorded = Trial(self._regular, bounds, regular(self._program))
         self._looped = loops(function)  # until it is known whether over its rows
         self.model, self.name = model, name
-        self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict(self._trial)}
+        self._verdicts: dict[Kind | None, Verdict] = {None: Verdict(self._trial)}
         # the last record, what differs in it, the number of its rows (0: any), the verdict on it
         self._theta: Any = None
         self._kind: Kind | None = None
@@ -162,7 +140,7 @@ class ModelFunction:
         dt: float,
         theta: Any,
         kind: Kind | None,
-        verdict: _Verdict,
+        verdict: Verdict,
     ) -> Result:
         """One call, of a kind that was seen and taken; looked at with care when that is due."""
         verdict.calls += 1
@@ -228,7 +206,7 @@ class ModelFunction:
             return self(*rows.alone(kind, np.zeros(1, dtype=np.intp)))
         verdict = self._verdicts.get(kind)
         if verdict is None:
-            verdict = self._verdicts[kind] = _Verdict(self._trial)
+            verdict = self._verdicts[kind] = Verdict(self._trial)
         if kind is None or not kind.times:
             self._theta, self._kind, self._verdict = rows.theta, kind, verdict
             self._M = 0 if kind is None else len(rows.a)
@@ -236,14 +214,14 @@ class ModelFunction:
         if kind is not None and kind.times:
             rows = rows.frozen()
             if looks_at_times():
-                own = _ranges(rows, kind)
+                own = ranges_of(rows, kind)
                 if verdict.ranges is None or (own > verdict.ranges).any():
                     known = own if verdict.ranges is None else verdict.ranges
                     verdict.ranges = np.maximum(own, known)
                     verdict.next = min(verdict.next, verdict.calls)
         return self._with_care(rows, kind, verdict)
 
-    def _with_care(self, rows: Rows, kind: Kind | None, verdict: _Verdict) -> Result:
+    def _with_care(self, rows: Rows, kind: Kind | None, verdict: Verdict) -> Result:
         """Together if that is right, else each time and theta by itself."""
         if kind is not None and not (verdict.takes or self._may_be_recorded(verdict, rows.a)):
             return self._apart(rows, kind)
@@ -270,7 +248,7 @@ class ModelFunction:
         return copies(together) if verdict.trial.reuses else together
 
     def _otherwise(
-        self, rows: Rows, kind: Kind | None, verdict: _Verdict, error: Exception | None = None
+        self, rows: Rows, kind: Kind | None, verdict: Verdict, error: Exception | None = None
     ) -> Result:
         """What is right where one call is not. Raises ModelError where nothing is."""
         if kind is not None:
@@ -298,7 +276,7 @@ class ModelFunction:
             placed=True,
         )
 
-    def _may_be_recorded(self, verdict: _Verdict, a: Array) -> bool:
+    def _may_be_recorded(self, verdict: Verdict, a: Array) -> bool:
         """Turn to what was recorded of a function that is called row by row so far; whether that is new."""
         affine = self._affine is not None and self._affine.holds and not a.shape[1]
         if affine or verdict.trial is self._recorded:
@@ -306,7 +284,7 @@ class ModelFunction:
         verdict.restart(self._recorded)
         return True
 
-    def _look_at_loop(self, verdict: _Verdict, rows: Rows) -> None:
+    def _look_at_loop(self, verdict: Verdict, rows: Rows) -> None:
         """Turn to what was recorded of a function that goes through the particles in a loop of its own."""
         self._looped = False
         with contextlib.suppress(Exception):  # the function itself will do
@@ -420,12 +398,3 @@ class ModelFunction:
         if lost is not None and not parts:
             raise lost
         return joined(parts, len(rows.a))
-
-
-def _ranges(rows: Rows, kind: Kind) -> Array:
-    """Largest and minus the smallest value of each input and time (3, n) that differs, and how far it goes."""
-    columns = np.array(rows.columns(kind._replace(fields=())), dtype=float)
-    if not len(columns):  # u has no entries
-        return np.zeros((3, 0))
-    highest, lowest = columns.max(axis=1), columns.min(axis=1)
-    return np.array([highest, -lowest, highest - lowest])

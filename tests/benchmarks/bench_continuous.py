@@ -235,7 +235,7 @@ def vessels_record(model: engine.MixedModel, file: str | None) -> engine.Series:
     rng = np.random.default_rng(1)
     flow = np.repeat(rng.uniform(1.0, 3.0, 40), 10)
     feed = np.repeat(rng.uniform(25.0, 45.0, 25), 16)
-    theta = {"V1": 200.0, "V2": 320.0, "k": 1e-3, "lag_probe2": 25.0}
+    theta = {"V1": 200.0, "V2": 320.0, "k": 1e-3, "lag_probe2": 0.6}
     u = np.column_stack([flow, feed])
     return hide(model, ["lag:probe2"], theta, 400, rng, u=u, dt=10.0).series
 
