@@ -23,7 +23,8 @@ else, it is decided which calls a function takes:
   (:mod:`engine.statespace.refutation`).
 - Rows of one time and one theta are particles, which no loop can help: where they influence each
   other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy. This is looked
-  at in the 1st, 2nd, 4th, 8th, ... call, among states of other times.
+  at in the 1st, 2nd, 4th, 8th, ... call, among states of other times. Where the function has a loop over
+  them, what was recorded of it takes many of them faster.
 
 "No" is for good and "yes" is asked again. Verdicts belong to one model object and are not pickled.
 """
@@ -278,11 +279,15 @@ class ModelFunction:
 
     def _may_be_recorded(self, verdict: Verdict, a: Array) -> bool:
         """Turn to what was recorded of a function that is called row by row so far; whether that is new."""
+        left = self._is_left_to_record(verdict, a)
+        if left:
+            verdict.restart(self._recorded)
+        return left
+
+    def _is_left_to_record(self, verdict: Verdict, a: Array) -> bool:
+        """Whether it was not tried yet, and few calls do not tell all."""
         affine = self._affine is not None and self._affine.holds and not a.shape[1]
-        if affine or verdict.trial is self._recorded:
-            return False
-        verdict.restart(self._recorded)
-        return True
+        return not affine and verdict.trial is not self._recorded
 
     def _look_at_loop(self, verdict: Verdict, rows: Rows) -> None:
         """Turn to what was recorded of a function that goes through the particles in a loop of its own."""
@@ -322,10 +327,11 @@ class ModelFunction:
             return calls_split() == before
         rows = Rows(a, regular_input(u, len(a)), t, dt, theta)
         kind = self._kind_of(rows)
-        for _ in range(2):  # by itself, and as recorded
-            if kind is not None and not (kind in self._verdicts and self._verdicts[kind].takes):
-                self._first_look(rows)
+        if kind is not None and kind not in self._verdicts:
+            self._first_look(rows)
         verdict = self._verdicts.get(kind)  # a single row needs none
+        if verdict is not None and not verdict.takes and self._is_left_to_record(verdict, a):
+            self._first_look(rows)
         return verdict is None or verdict.takes
 
     @property

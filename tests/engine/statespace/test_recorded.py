@@ -209,6 +209,21 @@ def test_parameters_side_by_side_are_filtered_as_alone(written):
     np.testing.assert_allclose(got, each, rtol=1e-9)
 
 
+def test_what_is_known_is_not_asked_again():
+    made = []
+
+    def counted(*given):
+        made.append(1)
+        return keyed(*given)
+
+    model = model_of(counted)
+    given = rows_of(0, model)
+    assert not model.transitions.takes(*given)
+    made.clear()
+    assert not model.transitions.takes(*given)
+    assert not made
+
+
 def test_few_calls_are_made_and_none_for_rows_that_were_met_before():
     made = []
 
