@@ -270,7 +270,7 @@ def diagnose(  # noqa: PLR0913
         )
 
     if fine.finer and not judged.causes:
-        too_long = about_predictions(model, np.asarray(judged.before.theta), [fine.records.train])
+        too_long = about_predictions(model, np.asarray(judged.before.theta), [shown])
         notes.extend([too_long] if too_long else [])
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
     clock.start("symptoms")

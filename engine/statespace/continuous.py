@@ -194,11 +194,13 @@ class _Discretized:
     def by_rows(self) -> _Discretized:
         """The same for rows of any times and parameters; see :mod:`engine.statespace.recorded`."""
         nx = self.na + self.nz
-        J = self.jacobian
+        J, Qc = self.jacobian, self.diffusion
+        if not self._alone:  # else it is called once for each theta
+            Qc = Recorded(Qc, ((nx, nx),), several=False)
         return replace(
             self,
             drift=Recorded(self.drift, ((nx,), (nx, self.nz))),
-            diffusion=Recorded(self.diffusion, ((nx, nx),), several=False),
+            diffusion=Qc,
             jacobian=None if J is None else Recorded(J, ((nx, self.na),), several=False),
             repeated=_Repeated(),
         )
@@ -230,8 +232,12 @@ class _Discretized:
     def _intensity(self) -> Callable[[Array, Any, Any, Any], Array]:
         """``diffusion`` as (1 or M, nx, nx), found once for each theta where it reads nothing else."""
         nx = self.na + self.nz
-        alone = not any(reads(self.diffusion, position) for position in range(TIME + 1))
-        return (_OfThetaAlone if alone else _Intensity)(self.diffusion, nx)
+        return (_OfThetaAlone if self._alone else _Intensity)(self.diffusion, nx)
+
+    @cached_property
+    def _alone(self) -> bool:
+        """Whether the diffusion reads parameters only."""
+        return not any(reads(self.diffusion, position) for position in range(TIME + 1))
 
     def _rates(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array]:
         """f (M, nx) and A; in memory of their own, as the function may write into both and into a."""

@@ -18,6 +18,7 @@ from engine.statespace.compare import (
     noise_of,
     sizes_of,
 )
+from engine.statespace.recorded import NotByRowsError
 from engine.statespace.rows import PERTURBATION, Array, Indices, Kind, Rows
 
 # (a, u, t, dt, theta) -> values (M, n), then matrices (r, c) common to all rows, (M, r, c) or None
@@ -141,7 +142,8 @@ class Trial:
                 together = copies(self.together(*drawn.fresh()))
                 return self._like(drawn, kind, together, rng.permutation(n)[: n // 2], singles)
             except Exception as error:  # noqa: BLE001 - particles out there may be no concern of the model
-                if kind is not None and not getattr(error, "here", False):
+                only_here = isinstance(error, NotByRowsError) and error.here
+                if kind is not None and not only_here:
                     return False
         return True
 

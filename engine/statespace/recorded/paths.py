@@ -67,9 +67,8 @@ def graft(known: Path, new: Path) -> None:
         if known.condition is None and same:
             return  # it is known already
         if known.condition is None or not same:
-            raise NotByRowsError(
-                here=False
-            )  # the same conditions did not lead to the same operations
+            # the same conditions did not lead to the same operations
+            raise NotByRowsError(here=False)
         ((held, rest),) = new.then.items()
         if held not in known.then:
             rest.constants = new.constants | rest.constants
