@@ -8,13 +8,15 @@ they ignore, and an object that is called may tell by ``reads_argument(position)
 from __future__ import annotations
 
 import dis
-from types import FunctionType, MethodType
+from functools import lru_cache
+from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 # Names by which a function may see its own arguments without loading them
 SEES_ALL = frozenset(
     {"locals", "vars", "eval", "exec", "dir", "_getframe", "currentframe", "stack"}
 )
+CODES = 1000  # of functions, whose answers are kept: extensions of a model share most of theirs
 
 
 def reads(function: Any, position: int) -> bool:
@@ -32,13 +34,19 @@ def reads(function: Any, position: int) -> bool:
     name = code.co_varnames[position]
     if name in code.co_cellvars:  # an inner function has it
         return True
-    # some instructions load two names; a store or a deletion is no reading, but is no habit either
-    named = (
-        step.argval if isinstance(step.argval, tuple) else (step.argval,)
-        for step in dis.get_instructions(code)
-        if "FAST" in step.opname
+    return name in _named(code)
+
+
+@lru_cache(CODES)
+def _named(code: CodeType) -> frozenset[str]:
+    """Local names that some instruction loads, stores or deletes; what only stores counts as reading."""
+    steps = (step for step in dis.get_instructions(code) if "FAST" in step.opname)
+    # some instructions load two names
+    return frozenset(
+        name
+        for step in steps
+        for name in (step.argval if isinstance(step.argval, tuple) else (step.argval,))
     )
-    return any(name in names for names in named)
 
 
 def loops(function: Any) -> bool:
@@ -50,7 +58,8 @@ def loops(function: Any) -> bool:
     return code is not None and _has_loop(code)
 
 
-def _has_loop(code: Any) -> bool:
+@lru_cache(CODES)
+def _has_loop(code: CodeType) -> bool:
     inner = (const for const in code.co_consts if hasattr(const, "co_consts"))
     own = (step.opname for step in dis.get_instructions(code))
     return any(name == "FOR_ITER" for name in own) or any(map(_has_loop, inner))
