@@ -114,6 +114,7 @@ def _with_these_steps(
     model: MixedModel, fine: Prepared, theta: ThetaLike, options: Options, clock: Clock, kept: Kept
 ) -> TwoAnswers:
     start, train = theta if fine.theta is None else fine.theta, fine.records.train
+    clock.start("fit")
     searched, notes = _searched(model, start, options.free, train, kept)
     if fine.records.others:
         if searched is train:

@@ -336,22 +336,22 @@ class Clock:
     def __init__(self, callback: Callback | None = None) -> None:
         self.callback = callback
         self.seconds: dict[str, float] = {}
-        self.stage, self.since = "", 0.0
+        self.stage, self.since, self._runs = "", 0.0, False
 
     def start(self, stage: str) -> None:
         """End the last stage and begin another."""
         self.stop()
-        self.stage, self.since = stage, time.perf_counter()
+        self.stage, self.since, self._runs = stage, time.perf_counter(), True
         self.progress(stage, 0.0)
 
     def stop(self) -> None:
         """End the last stage."""
-        if self.stage:
+        if self._runs:
             self.spent(time.perf_counter() - self.since)
-            self.stage = ""
+            self._runs = False
 
     def spent(self, seconds: float) -> None:
-        """More seconds for this stage."""
+        """More seconds for this stage, or for the last one where it has ended."""
         self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + seconds
 
     def progress(self, stage: str, fraction: float) -> None:

@@ -12,7 +12,7 @@ from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import Score, make_test, screen
-from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.pipeline import Clock, find_causes
 from engine.diagnose.search.refits import Refit, cost, refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import confirmed
@@ -277,3 +277,16 @@ def test_noise_that_went_to_a_bound_for_want_of_an_effect_comes_back_with_it():
     best = quasi_ml(found.fit.model, series, truth, found.fit.free)
     assert found.fit.log_likelihood > best.log_likelihood - 0.1
     assert found.fit.theta["r"] > 1e-4
+
+
+def test_seconds_are_of_a_stage_that_has_a_name():
+    """A part that was kept is counted where it belongs, also after its stage has ended."""
+    clock = Clock()
+    clock.start("search")
+    clock.stop()
+    clock.spent(3.0)
+    clock.stop()
+    clock.start("gain")
+    clock.stop()
+    assert list(clock.seconds) == ["search", "gain"]
+    assert 3.0 <= clock.seconds["search"] < 4.0
