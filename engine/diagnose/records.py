@@ -18,6 +18,7 @@ from engine.statespace.model import MixedModel
 LEAST = 30  # measured rows without which nothing can be said
 HELD_OUT = 0.2  # share of the longest record kept back where no test series is given
 MOST = 0.5  # of it
+FEWEST_ROWS = 8  # held out, below which neighbours say nothing of a gain or a loss
 ON_TIME = 1e-6  # of a step, by which the steps of two records may differ
 
 
@@ -74,7 +75,7 @@ class Records:
     @property
     def _cut(self) -> int:
         samples = len(self.main.samples)
-        return self.main.substeps * (samples - max(int(self.share * samples), 2))
+        return self.main.substeps * (samples - _kept_rows(samples, self.share))
 
     def refined(self, k: int) -> Records:
         """With k steps from each sample to the next."""
@@ -140,14 +141,28 @@ def whole_records(given: Sequence[Series], share: float) -> tuple[int, ...]:
 
     Of many short ones the last part of the longest tells little: all may have settled there. They are spread
     over the levels of inputs and readings, in whatever order they come. Empty where the share of their number
-    is none, where that part holds more rows, or where too few would be left.
+    is none, where that part holds more rows, or where too few would be left. Where that part can tell nothing
+    at all, fewer are enough.
     """
     rows, longest = [one.n_measured for one in given], longest_of(given)
     rest = sorted((k for k in range(len(given)) if k != longest), key=lambda k: _levels(given[k]))
     n = int(share * len(given) + 1e-9)
     back = tuple(sorted(rest[int((j + 0.5) * len(rest) / n)] for j in range(n)))
     held = sum(rows[k] for k in back)
-    return back if held >= share * rows[longest] and sum(rows) - held >= 2 * LEAST else ()
+    telling = _kept_rows(rows[longest], share) >= FEWEST_ROWS
+    enough = 2 * LEAST if telling or held < FEWEST_ROWS else LEAST
+    return back if held >= share * rows[longest] and sum(rows) - held >= enough else ()
+
+
+def _kept_rows(samples: int, share: float) -> int:
+    """How many of the longest record's last samples are kept back: a share, but so many that they can tell.
+
+    A share below the default one was asked for, and stays. Where those that can tell would be more than half of
+    the record, none can, and the share is all that the search is deprived of.
+    """
+    asked = max(int(share * samples), 2)
+    can_tell = share >= HELD_OUT and MOST * samples >= FEWEST_ROWS
+    return max(asked, FEWEST_ROWS) if can_tell else asked
 
 
 def _levels(one: Series) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from engine.diagnose.gain.simulation_gain import OutputGain
+from engine.diagnose.records import FEWEST_ROWS
 from engine.distributions import student_sf
 from engine.words import enumerated, number, percent, probability, with_unit
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
 
 TEST_LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
-FEWEST_ROWS = 8  # held out, below which neighbours say nothing of a gain or a loss
 TELLING_ROWS = 16  # held out, from which on what they lose may contradict a name
 LOSS_NATS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
 NOT_MEASURED = (

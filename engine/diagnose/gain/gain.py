@@ -18,13 +18,7 @@ from numpy.typing import NDArray
 from engine.data.joined import joined, past_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.gain.adoption import (
-    FEWEST_ROWS,
-    TEST_LEVEL,
-    Decision,
-    decide,
-    runs_changed,
-)
+from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
 from engine.diagnose.gain.simulation_gain import (
     DRAWN,
     OutputGain,
@@ -34,6 +28,7 @@ from engine.diagnose.gain.simulation_gain import (
     output_gains,
 )
 from engine.diagnose.gain.times import Times, times_again
+from engine.diagnose.records import FEWEST_ROWS
 from engine.diagnose.symptoms.error_localization import newey_west
 from engine.distributions import student_sf
 from engine.errors import EngineError

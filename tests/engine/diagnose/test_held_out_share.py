@@ -104,6 +104,20 @@ def test_train_and_held_out_are_the_record(share, kept):
         assert records.main.substeps == k
 
 
+@pytest.mark.parametrize(("rows", "kept"), [(30, 8), (36, 8), (16, 8), (12, 2), (60, 12)])
+def test_of_a_short_record_so_much_is_held_out_that_it_can_tell(rows, kept):
+    """A fifth of 30 rows are 6: whatever they show, nothing is adopted on fewer than 8."""
+    records = Records(Series(np.arange(float(rows)), dt=1.0))
+    assert len(records.held_out[0]) == kept
+
+
+def test_a_whole_record_is_held_out_where_the_end_of_one_can_tell_nothing():
+    """Six patients, eleven readings each: two of them told nothing, and nothing could ever be adopted."""
+    _, records = records_of(LEVEL, [short(level, 11) for level in LEVELS], None)
+    assert len(records.kept_back) == 1
+    assert len(records.others) == 4
+
+
 def test_what_only_the_free_run_sees_needs_data_that_it_has_not_seen():
     """That none were held out is another reason than that it gains nothing on them."""
     asked = SecondOpinion(Verdict.NOTHING, (), True, "", search=SimpleNamespace(found=("drag",)))
@@ -146,7 +160,7 @@ def test_a_record_that_tells_less_than_the_last_part_of_the_longest_is_not_held_
     _, records = records_of(LEVEL, given, None)
     assert records.kept_back == ()
     assert len(records.held_out[0]) == 80
-    few = [short(level, 11) for level in LEVELS]  # too few would be left
+    few = [short(level, 7) for level in LEVELS]  # one of them tells as little as the last rows
     assert records_of(LEVEL, few, None)[1].kept_back == ()
 
 
