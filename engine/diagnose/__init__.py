@@ -51,6 +51,7 @@ from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.pipeline import FIRST_FIT_SHARE, Callback, Clock, fit_base
 from engine.diagnose.search.substeps import is_enough, prepare
+from engine.diagnose.search.unsearched import begins_unsearched
 from engine.diagnose.search.verdict import at_most_in_words, detectable_of, named_by
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
@@ -248,6 +249,14 @@ def diagnose(  # noqa: PLR0913
             f"The record from t = {begun} on was held out and not searched: held_out=0 searches all of it, "
             "test= judges by other data."
         )
+    unsearched = None
+    if (
+        records.keeps_back
+        and judged.verdict is Verdict.NOTHING
+        and len(searched) == len(fine.records.train)
+    ):
+        whole, cut = fine.records.main, len(fine.records.train)
+        unsearched = begins_unsearched(causes.base, whole, cut, causes.kinds, alpha, seed)
 
     if records.in_turn and any(cause.where == "time" for cause in judged.causes):
         others = zip(records.numbers[1:], fine.records.others, strict=True)
@@ -304,6 +313,7 @@ def diagnose(  # noqa: PLR0913
         asked=Asked(*given, parts=dict(parts)),
         later=later_of(apart(searched)),
         starts=starts_of(apart(searched)),
+        unsearched=unsearched,
     )
 
 

@@ -22,6 +22,7 @@ from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.unsearched import Unsearched
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
@@ -105,6 +106,8 @@ class Diagnosis(Shown):
         Number of steps from sample to sample that the models made; refine a series by it to run ``extended``.
     over_horizon : OverHorizon or None
         The answer beside the other candidates, over the horizon and over budgets of process noise.
+    unsearched : Unsearched or None
+        Where nothing was found: an event that the screen sees in the rows held out, which were not searched.
     asked : Asked or None
         The arguments and the finished parts, by which :func:`engine.save` keeps the diagnosis.
     """
@@ -133,6 +136,7 @@ class Diagnosis(Shown):
     later: tuple[float, ...] = ()
     starts: tuple[float, ...] = ()
     p_bootstrap_at_floor: bool = False
+    unsearched: Unsearched | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot
         if self.asked is None:

@@ -95,6 +95,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
             less = enumerated(list(cause.not_ruled_out), "or")
             yield from _wrapped(f"less likely, but not ruled out: {less}", "      ")
     if not d.causes:
+        if d.unsearched is not None:
+            yield from _wrapped(d.unsearched.sentence, "  ")
         said = looked_for(probability(d.p_value, d.p_at_floor), [x.testable for x in d.detectable])
         yield from _wrapped(said, "  ")
     if d.p_bootstrap is not None:

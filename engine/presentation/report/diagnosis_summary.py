@@ -40,6 +40,8 @@ def verdict(d: Document) -> Html:
     if not names:
         testable = [x["testable"] for x in d["detectable"]]
         names = [tag("p", looked_for(p_value(d), testable))]
+        if unsearched := d.get("unsearched"):
+            names = [tag("p", prose(unsearched["sentence"])), *names]
     faults = [tag("p", f"Look at the record first. {prose(one)}") for one in d.get("faults", ())]
     stopped = [tag("p", prose(one)) for one in d.get("stopped", ())]
     return join([said, *faults, *stopped, *names])

@@ -28,11 +28,20 @@ def late_step():
     return Series(y, dt=1.0, y_names=series.y_names)
 
 
-def test_a_step_in_the_last_fifth_is_found_where_nothing_is_held_out():
+def test_a_step_in_the_last_fifth_is_found_where_nothing_is_held_out(tmp_path):
     asked = {"effects": ["step"], "seed": 1}
     before = engine.diagnose(LEVEL, late_step(), **asked)
     assert before.verdict is Verdict.NOTHING
     assert any("from t = 120 s on was held out and not searched" in note for note in before.notes)
+    event = before.unsearched  # which the head of the page, the report and the list of jobs tell
+    assert event.since == 120.0
+    assert abs(event.time - 135.0) <= 5.0
+    assert event.p_value <= 0.01
+    report = before.report(tmp_path / "late.html").read_text(encoding="utf-8")
+    for text in (" ".join(str(before).split()), report, in_a_line(before)):
+        assert "something seems to happen there, near t = 13" in text
+        assert "held_out=0 searches all of the record" in text
+    json.dumps(before.to_dict(), allow_nan=False)
     found = engine.diagnose(LEVEL, late_step(), **asked, held_out=0)
     (cause,) = found.causes
     assert found.verdict is Verdict.NAMED
@@ -40,6 +49,10 @@ def test_a_step_in_the_last_fifth_is_found_where_nothing_is_held_out():
     assert found.gain.samples == 150
     assert "blocks" in found.gain.how
     assert not any("held out" in note for note in found.notes)
+    assert found.unsearched is None
+    y = late_step().y.copy()
+    y[135:] -= 80.0
+    assert engine.diagnose(LEVEL, Series(y, dt=1.0), **asked).unsearched is None
 
 
 @pytest.fixture(scope="module")
