@@ -9,6 +9,9 @@ from collections.abc import Collection, Iterable
 _FACTOR = re.compile(r"\s*(?:(\()|([^\s()/*·^]+))")
 _POWER = re.compile(r"\s*(?:\^|\*\*)\s*(-?\d+(?:\.\d+)?)")
 
+# What a logarithm is of is no factor beside it: a rate of log ppb is (log ppb)/s, its inverse no 1/log/ppb.
+_LOGARITHM = re.compile(r"\s*(log(?:10|2)?|ln)(?:\s+([^\s()/*·^]+)|\s*\(([^()]+)\))")
+
 Powers = dict[str, float]
 
 SECOND = "s"
@@ -254,10 +257,13 @@ def _expression(text: str) -> tuple[float, Powers, str]:
             sign, text = (-1.0 if text[0] == "/" else 1.0), text[1:].lstrip()
             if not text or text[0] in "/*·)":
                 raise ValueError("a factor is missing")
-        found = _FACTOR.match(text)
+        logarithm = _LOGARITHM.match(text)
+        found = logarithm or _FACTOR.match(text)
         if found is None:
             raise ValueError(f"'{text[0]}' is not expected")
-        if found[1]:
+        if logarithm:
+            own_number, own, text = 1.0, {_of_logarithm(logarithm): 1.0}, text[found.end() :]
+        elif found[1]:
             own_number, own, rest = _expression(text[found.end() :].lstrip())
             if not rest.startswith(")"):
                 raise ValueError("a bracket is not closed")
@@ -272,6 +278,13 @@ def _expression(text: str) -> tuple[float, Powers, str]:
             powers[symbol] = powers.get(symbol, 0.0) + power * exponent
         sign, text = 1.0, text.lstrip()
     return number, powers, text
+
+
+def _of_logarithm(found: re.Match[str]) -> str:
+    """One symbol for a logarithm and what it is of, however that is written."""
+    inside = (found[2] or found[3]).strip()
+    plain = re.fullmatch(r"[^\s()/*·^]+", inside)
+    return f"({found[1]} {inside})" if plain else f"({found[1]}({inside}))"
 
 
 def _symbol(word: str) -> tuple[float, Powers]:

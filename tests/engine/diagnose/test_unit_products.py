@@ -22,6 +22,13 @@ from engine.units import product
         (("1", ("1", -2)), "1"),
         (("m (s", ("s", -1)), "(m (s)/s"),
         (("m//s", ("m//s", -1)), "1"),
+        (("log ppb", ("d", -1)), "(log ppb)/d"),
+        ((("log ppb", -2), ("d", -1)), "1/(log ppb)^2/d"),
+        (("log10(1/month)", ("year", -1)), "(log10(1/month))/year"),
+        (("ln(kg)", ("ln kg", -1)), "1"),
+        (("log ppb/degF", "degF"), "(log ppb)"),
+        (("(log ppb)^2/d", ("log ppb", -1)), "(log ppb)/d"),
+        (("log", ("s", -1)), "log/s"),
     ],
 )
 def test_products(factors, expected):
