@@ -12,7 +12,7 @@ from engine.diagnose.symptoms.runs import smoothed
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array
 from engine.units import SECOND
-from engine.words import bounds, estimate, moment, percent, with_unit
+from engine.words import estimate, moment, percent, with_unit
 
 CLEAR = 2.0  # standard deviations off zero
 BY_CHANCE = 0.05  # of the time; so often a course is CLEAR that is none
@@ -45,13 +45,15 @@ class UnnamedForce:
             clear & (np.sign(self.mean) == np.sign(self.mean[strongest])), strongest
         )
         peak = estimate(float(self.mean[strongest]), float(self.sd[strongest]), self.unit)
-        start, end = bounds(float(self.t[first]), float(self.t[last]))
         step = float(np.median(np.diff(self.t)))
+        at = moment(float(self.t[strongest]), step, self.time_unit)
+        start = moment(float(self.t[first]), step)
+        end = moment(float(self.t[last]), step, self.time_unit)
+        within = "" if first == last else f", within a stretch from {start} to {end}"
         return (
             f"An unnamed force acts on {self.target}: {with_unit(size, self.unit)} rms, clearly different from "
             f"zero for {percent(float(clear.mean()))} of the time, strongest ({peak}) at t = "
-            f"{moment(float(self.t[strongest]), step, self.time_unit)}, within a stretch from {start} to {end} "
-            f"{self.time_unit}."
+            f"{at}{within}."
         )
 
 

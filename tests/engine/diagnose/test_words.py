@@ -154,6 +154,20 @@ def test_a_force_that_is_nowhere_clear_has_no_size():
     assert "nan" not in UnnamedForce("x", "", t, np.zeros(5), np.zeros(5)).sentence
 
 
+def test_a_force_that_acts_in_one_row_has_no_stretch():
+    """Of a quarterly record it was 'within a stretch from 1981 to 1981 year'."""
+    t = 1980.0 + 0.25 * np.arange(6)
+    for course, said in (
+        ([1.0, -1.0, 1.0, -1.0, 4.0, -1.0], "at t = 1981 year."),
+        (
+            [1.0, -1.0, 1.0, 3.0, 4.0, -1.0],
+            "at t = 1981 year, within a stretch from 1980.5 to 1981",
+        ),
+    ):
+        force = UnnamedForce("level", "m/year", t, np.array(course), np.full(6, 0.1), "year")
+        assert said in force.sentence
+
+
 # ---- causes ------------------------------------------------------------------------------------
 
 
