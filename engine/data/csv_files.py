@@ -20,6 +20,9 @@ TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 DELIMITERS = (";", "\t", ",")
 EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # the first line of its files, which it hides
 LOOKED_AT = 100  # rows, for the delimiter
+FIRST = (
+    "column 1"  # the name of a first column without one, of which nothing is used unasked but dates
+)
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # or three decimals
 LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
@@ -75,6 +78,8 @@ def read_csv(data: bytes, file: str) -> Table:
         named = len(names)
         while named > 1 and not names[named - 1]:
             named -= 1
+        if not below and named > 1 and all(names[1:named]):
+            names[0] = names[0] or FIRST  # as R and pandas write the names of rows, which have none
         _check_header(names[:named], file, first + 1, below)
         for row in each:
             # An empty line is a missing value where there is one column, nothing otherwise.

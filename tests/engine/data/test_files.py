@@ -611,6 +611,19 @@ def test_dates_without_the_time_of_day_beside_them(tmp_path):
         read_series(path, t="day")
 
 
+def test_names_of_rows_have_no_name_of_their_own(tmp_path):
+    """R's write.csv and to_csv of pandas put them first, numbers that count or dates."""
+    by_r = of(tmp_path, '"","t","y"\n"1",0,5\n"2",2,6\n')
+    series = read_series(by_r)
+    assert (series.dt, series.y_names) == (2.0, ("y",))
+    assert read_series(by_r, t="column 1").dt == 1.0
+    by_pandas = of(tmp_path, ",co2\n1958-03-29,316.1\n1958-04-05,\n1958-04-12,317.6\n")
+    assert read_series(by_pandas, y=["co2"], time_unit="d").dt == 7.0
+    logger = of(tmp_path, ",Station 12\nt,y\n0,1\n1,2\n")
+    with pytest.raises(SeriesError, match="column 1 has no name; if line 2 has the names"):
+        read_series(logger)
+
+
 def test_empty_columns_at_the_end_and_utf_16(tmp_path):
     assert read_series(of(tmp_path, "t,y,,\n0,1,,\n2,2,,\n")).dt == 2.0
     with pytest.raises(SeriesError, match="line 1: column 4 has no name"):
