@@ -104,6 +104,13 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
         hint = _winter(times, row, shown[row], unit) if dated else ""
         if kind == "repeats" and text.endswith(" 00:00:00"):
             hint = "; if another column has the time of day, write both in one: 2024-03-01 13:45:00"
+        elif kind == "repeats" and not dated:
+            hint = "; of readings that were taken at one time give the mean"
+        elif not dated and _of_the_day(times):
+            hint = (
+                "; if this is the time of day, 1430 for 14:30, write it with its day in one: "
+                "2024-03-01 14:30:00"
+            )
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:
         _check_step(times, _step_in(dt, unit))
@@ -149,6 +156,13 @@ def date_of(text: str) -> datetime | None:
         return datetime.fromisoformat(text.strip())
     except ValueError:
         return None
+
+
+def _of_the_day(times: Array) -> bool:
+    """Whether times may be hours and minutes of a clock in one number, as 1430."""
+    minutes = np.mod(times, 100.0)
+    whole = np.array_equal(times, np.round(times))
+    return bool(whole and times.min() >= 0.0 and times.max() < 2400.0 and minutes.max() < 60.0)
 
 
 def _check_step(times: Array, dt: float) -> None:
