@@ -26,6 +26,13 @@ def _each_reading(setting: Setting) -> list[str]:
     return [f"{u}->{y}" for u in each_input(setting) for y in each_output(setting)]
 
 
+def _each_direct(setting: Setting) -> list[str]:
+    """To every output, from channels that the model leaves out, too: the reading alone may depend on them."""
+    return _each_reading(setting) + [
+        f"{u}->{y}" for u in setting.extra for y in each_output(setting)
+    ]
+
+
 def _ends(setting: Setting, channel: str) -> tuple[str, str, bool] | None:
     """Source, target and whether that is an output; None where the channel is not ``input->...``."""
     source, _, target = channel.partition("->")
@@ -49,11 +56,15 @@ def _direct(setting: Setting, channel: str) -> Effect | None:
     source, target, _ = ends
     name = setting.identifier("direct", channel)
     origin = Origin(setting, name, source)
+    unused = source in setting.extra
+    whose = (
+        f"the channel {source}, which the model leaves out," if unused else f"the input {source}"
+    )
     return Effect(
         "direct",
         channel,
         "measurement",
-        f"direct path from the input {source} to the reading {target}",
+        f"direct path from {whose} to the reading {target}",
         f"{target} = ... + {name} * {origin.text(source)}",
         extend=lambda model: add_to_output(
             model, target, lambda v, own: own[0] * (v[source] - origin.of(own))
@@ -155,6 +166,6 @@ def _each_way(setting: Setting) -> list[str]:
 
 
 KINDS: list[Kind] = [
-    ("direct", _direct, _each_reading),
+    ("direct", _direct, _each_direct),
     ("path", _path, _each_way),
 ]
