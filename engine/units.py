@@ -299,7 +299,9 @@ def _written(number: float, powers: Powers) -> str:
     below = [_raised(s, -p) for s, p in powers.items() if p < 0.0]
     if number != 1.0:
         above.insert(0, f"{number:g}".replace("e+0", "e").replace("e+", "e"))
-    return "/".join([" ".join(above) or "1", *below])
+    text = "/".join([" ".join(above) or "1", *below])
+    alone = re.fullmatch(r"\(((?:log(?:10|2)?|ln) [^()]*)\)", text)  # needs no brackets
+    return alone[1] if alone else text
 
 
 def _raised(symbol: str, power: float) -> str:

@@ -26,7 +26,7 @@ from engine.units import product
         ((("log ppb", -2), ("d", -1)), "1/(log ppb)^2/d"),
         (("log10(1/month)", ("year", -1)), "(log10(1/month))/year"),
         (("ln(kg)", ("ln kg", -1)), "1"),
-        (("log ppb/degF", "degF"), "(log ppb)"),
+        (("log ppb/degF", "degF"), "log ppb"),
         (("(log ppb)^2/d", ("log ppb", -1)), "(log ppb)/d"),
         (("log", ("s", -1)), "log/s"),
     ],
