@@ -94,6 +94,7 @@ CASES = {
     "lag": ("reading", {"lag_reading": 0.6}),
     "delay": ("reading", {"delay_reading": 1.0, "delay_reading_samples": 3.0}),
     "slow-sensor": ("reading", {"slow_sensor_reading": 0.3}),
+    "slow-input": ("force", {"slow_input_force": 0.3}),
     "play": ("force", {"play_force": 0.4}),
     "cubic-sensor": ("reading", {"cubic_sensor_reading": 0.2}),
     "saturation-sensor": (

@@ -27,6 +27,7 @@ from engine.diagnose.effects.overflow import KINDS as OVERFLOW
 from engine.diagnose.effects.paths import KINDS as PATHS
 from engine.diagnose.effects.play import KINDS as PLAY
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.slow_input import KINDS as SLOW_INPUT
 from engine.diagnose.effects.slow_sensor import KINDS as SLOW_SENSOR
 from engine.diagnose.effects.state import KINDS as STATE
 from engine.diagnose.effects.tails import KINDS as TAILS
@@ -45,6 +46,7 @@ SHIPPED: tuple[Kind, ...] = (
     *MEASUREMENT,
     *LATE,
     *SLOW_SENSOR,
+    *SLOW_INPUT,
     *PLAY,
     *NOISE,
     *COLORED,

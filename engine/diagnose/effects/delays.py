@@ -137,7 +137,7 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
     spread = spread_at_first(setting, name, channel)
 
     def extend(model: MixedModel) -> MixedModel:
-        late = _late_input if _adds(setting, model, channel) else _late_input_by_memory
+        late = _late_input if adds(setting, model, channel) else _late_input_by_memory
         return late(model, setting, channel)
 
     return Effect(
@@ -167,7 +167,7 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
-def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
+def adds(setting: Setting, model: MixedModel, channel: str) -> bool:
     """Whether f and h are affine in an input, and A, Q, C, R do not depend on it, on the record.
 
     But for rounding, as of slopes that were differenced.

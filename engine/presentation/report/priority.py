@@ -11,8 +11,8 @@ FIRST_EFFECTS = 12  # effects that are listed; the rest is a click or an option 
 _KINDS = (
     "coulomb", "bias", "drag", "gain", "delay", "input-offset", "input-gain", "cubic", "lag", "input-deadzone",
     "saturation", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone", "stribeck",
-    "slow-sensor", "overflow", "play", "direct", "path", "extra-input", "parameter-step", "colored",
-    "hysteresis", "boucwen", "cogging", "linear", "start",
+    "slow-sensor", "slow-input", "overflow", "play", "direct", "path", "extra-input", "parameter-step",
+    "colored", "hysteresis", "boucwen", "cogging", "linear", "start",
 )  # fmt: skip
 
 

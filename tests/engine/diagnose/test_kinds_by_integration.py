@@ -289,6 +289,53 @@ def test_a_slow_sensor_is_its_differential_equation_at_any_times(hour):
     np.testing.assert_allclose(y[:, 0], r, atol=1e-6)
 
 
+@pytest.mark.parametrize("adds", [True, False])
+@pytest.mark.parametrize("hour", [1.0, 3600.0])
+def test_a_slow_actuator_is_its_differential_equation_at_any_times(hour, adds):
+    """Times that are not regular, in seconds or hours; the command adds, or is met by its square."""
+    rng = np.random.default_rng(8)
+    t = hour * np.cumsum(rng.uniform(0.05, 1.0, 120))
+    plant = replace(
+        DRIVE,
+        dynamics=lambda a, u, t, dt, theta: (
+            [a[:, 0] + dt * (u[0] if adds else u[0] * abs(u[0])), 0.0],
+            [[0.0], [0.9]],
+            np.eye(2),
+        ),
+    )
+    force, tau = levels(rng, 120), 0.7 * hour
+    series = engine.Series(np.zeros(120), force, t=t)
+    start = {"speed": 0.3, "acting_force": -1.0}
+    y, states = run(plant, "slow-input:force", {"slow_input_force": tau}, series, start)
+    acting = [-1.0]
+    for step, held in zip(np.diff(t), force[:-1], strict=True):
+        acting.append(held + (acting[-1] - held) * np.exp(-step / tau))
+    np.testing.assert_allclose(states["acting_force"], acting, atol=1e-9)
+    means = [
+        held + (last - held) * tau / step * -np.expm1(-step / tau)
+        for step, held, last in zip(np.diff(t), force, acting[:-1], strict=False)
+    ]
+    rates = np.array(means if adds else means * np.abs(means))
+    by_hand = 0.3 + np.append(0.0, np.cumsum(np.diff(t) * rates))
+    np.testing.assert_allclose(y[:, 0], by_hand, rtol=1e-9)
+
+
+def test_a_slow_actuator_of_no_time_is_the_model_where_a_reading_has_the_input_too():
+    plant = replace(
+        DRIVE, measurement=lambda a, u, t, theta: ([a[:, 0] + 0.5 * u[0]], [[0.0]], [[1e-3]])
+    )
+    series = engine.Series(np.zeros(60), levels(np.random.default_rng(9), 60), dt=DT)
+    plain, _ = noise_free(plant, np.asarray(plant.theta()), series, np.array([0.3, 0.1]))
+    y, _ = run(plant, "slow-input:force", {}, series, {"speed": 0.3, "load": 0.1})
+    np.testing.assert_allclose(y, plain, atol=1e-12)
+    own, setting = {"slow_input_force": 20.0}, Setting(plant, dt=DT)
+    slow, states = run(plant, "slow-input:force", own, series, {}, setting)
+    acts = 0.5 * states["acting_force"]  # what is seen is its mean over the sample that begins
+    np.testing.assert_allclose(
+        slow[:-1, 0] - states["speed"][:-1], (acts[:-1] + acts[1:]) / 2, atol=1e-5
+    )
+
+
 def test_a_slow_sensor_sees_linear_states_too_and_is_a_lag_in_hours():
     """The time constant is in seconds: samples of another length find the same one."""
     model = room(continuous=True)

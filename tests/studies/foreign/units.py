@@ -166,6 +166,7 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "play": x,
         "start": x,
         "slow-sensor": k,
+        "slow-input": k,
     }
     plain = ("gain", "input-gain", "lag", "delay", "rectification", "saturation-sensor")
     if kind in plain or kind in (
