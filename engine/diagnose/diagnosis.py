@@ -173,13 +173,19 @@ class Diagnosis(Shown):
             with suppress(EngineError, np.linalg.LinAlgError):
                 noise = noise_of(fit, self.series)
                 stopped -= {name for name, yes in zip(fit.free, noise, strict=True) if yes}
+        still = self.extended.at_bounds(self.theta, fit.free)
         units = {p.name: p.unit for p in fit.model.parameters}
-        return tuple(
-            f"Before anything was added, {name} was stopped by its bound, "
-            f"{with_unit(float(fit.theta[name]), units[name])}: what was found may only make up for that."
-            for name in fit.free
-            if name in stopped
-        )
+
+        def said(name: str) -> str:
+            at, then = (
+                with_unit(float(theta[name]), units[name]) for theta in (fit.theta, self.theta)
+            )
+            text = f"Before anything was added, {name} was stopped by its bound, {at}: "
+            if name in still:
+                return f"{text}what was found may only make up for that."
+            return f"{text}what was found makes up for that, or drove it there. With it, {name} is {then}."
+
+        return tuple(said(name) for name in fit.free if name in stopped)
 
     @property
     def trusted(self) -> bool:

@@ -212,6 +212,11 @@ def test_a_bound_that_stopped_the_model_is_said_at_the_top(found):
     )
     assert "was stopped by its bound" in str(one).partition("1. What")[0]
     assert one.to_dict()["stopped"] == list(one.stopped)
+    # with what was found it is off the bound: what was missing may be what drove it there
+    now = f"{one.theta['theta']:.3g}"
+    assert one.stopped[0].endswith(f"or drove it there. With it, theta is {now}.")
+    there = one.extended.theta({**one.theta.asdict(), "theta": -2.0})
+    assert replace(one, theta=there).stopped[0].endswith("may only make up for that.")
     level = simulate(LEVEL, None, 60, np.random.default_rng(0)).series
     assert not at_its_bound(LEVEL, level).stopped
 
