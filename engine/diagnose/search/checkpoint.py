@@ -12,7 +12,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -44,8 +44,8 @@ class Kept:
     """Parts by name, of which those of a round begin with ``where``; without ``parts`` nothing is kept.
 
     ``of`` begins the names of one search, where there are several.
-    ``spent`` is told the seconds that were once spent on a part which need not be computed again; ``told``
-    every part by its name, as soon as it is there.
+    ``spent`` is told the seconds that an earlier run spent on a part which need not be computed again; ``told``
+    every part by its name, as soon as it is there; ``ours`` are the names of what this run has computed.
     """
 
     parts: Parts | None = None
@@ -53,6 +53,7 @@ class Kept:
     where: str = ""
     of: str = ""
     told: Callable[[str, Any], Any] = _nobody
+    ours: set[str] = field(default_factory=set)
 
     def apart(self, what: str) -> Kept:
         """The same parts, for a search beside the first, whose names may be the same."""
@@ -98,7 +99,8 @@ class Kept:
         """What was kept under a name, or else computed, and kept then."""
         known = None if self.parts is None else self.parts.get(self.where + name)
         if known is not None:
-            self.spent(known["seconds"])
+            if self.where + name not in self.ours:  # else they are on this run's clock already
+                self.spent(known["seconds"])
             found = made_of(known["numbers"])
         else:
             since = time.perf_counter()
@@ -106,6 +108,7 @@ class Kept:
             seconds = time.perf_counter() - since
             if self.parts is not None:
                 kept = {"seconds": seconds, "numbers": numbers_of(found)}
+                self.ours.add(self.where + name)
                 self.parts[self.where + name] = kept
         self.told(self.where + name, found)
         return found

@@ -177,9 +177,9 @@ def find_causes(
     if verdict not in NAMES:
         left = noise_left_to_states(base, series)
         notes.extend([left] if left else [])
-    clock.stop()
     kinds = effects if aside is None else aside.others
     steps = _steps(found, series, setting, kept) if verdict in NAMES else series.substeps
+    clock.stop()
     coarse, another = worth > 0.0, shape is not None
     return Causes(base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another)
 

@@ -12,6 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.search import checkpoint as keeping
+from engine.diagnose.search import pipeline
 from engine.errors import OptionError
 from engine.presentation.report import report_html
 from tests.engine.hidden_effects import DRIVE, levels
@@ -196,6 +197,29 @@ def test_it_tells_early_what_it_ends_with():
     scores = found.rounds[0].screen.scores
     assert [s["effect"] for s in second["screen"]["scores"]] == [s.effect.name for s in scores[:8]]
     assert found.causes[0].effect in second["screen"]["sentence"]
+
+
+def test_seconds_of_a_part_are_counted_once():
+    """By the clock of the run that computes it; what an earlier run computed is added as it is taken up."""
+    parts, told = {}, []
+    first = keeping.Kept(parts, told.append)
+    for where in (first, first.within("a round").apart("more"), first):
+        assert where.numbers("a sum", lambda: 1.0) == 1.0
+    assert not told
+    second = keeping.Kept(parts, told.append)
+    assert second.numbers("a sum", lambda: 2.0) == 1.0
+    assert told == [parts["a sum"]["seconds"]]
+
+
+def test_every_second_is_of_a_stage(monkeypatch):
+    """Steps are chosen again for what was found: in the search, though all of it was kept."""
+    clock = pipeline.Clock()
+    monkeypatch.setattr(pipeline, "_steps", lambda *_: clock.spent(1.0) or 1)
+    series = drive(["bias:reading"], {"bias_reading": 0.5}, seed=5, n=160)
+    found = pipeline.find_causes(DRIVE, series, effects=["bias:reading"], max_effects=1, clock=clock)
+    assert found.verdict.value == "named"
+    assert list(clock.seconds) == ["fit", "search"]
+    assert clock.seconds["search"] > 1.0
 
 
 @pytest.mark.slow
