@@ -179,7 +179,7 @@ def _cause(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(criteria(d.free_run), "  ")
     if d.over_horizon is not None:
         beside = asdict(d.over_horizon)
-        yield from _wrapped(f"{over_horizon.SAID} {d.over_horizon.sentence}".rstrip(), "  ")
+        yield from _wrapped(f"{over_horizon.said(beside)} {d.over_horizon.sentence}".rstrip(), "  ")
         yield from _columns([over_horizon.head(beside), *over_horizon.rows(beside)])
 
 

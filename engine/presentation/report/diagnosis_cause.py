@@ -51,7 +51,7 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
     if beside := d.get("over_horizon"):
         parts += [
             tag("h3", "Over the horizon"),
-            tag("p", over_horizon.SAID, class_="hint"),
+            tag("p", over_horizon.said(beside), class_="hint"),
             table(over_horizon.head(beside), over_horizon.rows(beside), "numbers"),
             tag("p", beside["sentence"]),
         ]

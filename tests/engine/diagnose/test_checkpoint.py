@@ -216,7 +216,9 @@ def test_every_second_is_of_a_stage(monkeypatch):
     clock = pipeline.Clock()
     monkeypatch.setattr(pipeline, "_steps", lambda *_: clock.spent(1.0) or 1)
     series = drive(["bias:reading"], {"bias_reading": 0.5}, seed=5, n=160)
-    found = pipeline.find_causes(DRIVE, series, effects=["bias:reading"], max_effects=1, clock=clock)
+    found = pipeline.find_causes(
+        DRIVE, series, effects=["bias:reading"], max_effects=1, clock=clock
+    )
     assert found.verdict.value == "named"
     assert list(clock.seconds) == ["fit", "search"]
     assert clock.seconds["search"] > 1.0
