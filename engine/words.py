@@ -169,17 +169,27 @@ def errors_in_words(errors: Mapping[str, float | None], units: Mapping[str, str]
     return enumerated([f"{text} of {name}" if several else text for name, text in said.items()])
 
 
-def held_by_bounds(names: Sequence[str], none: Collection[str] = ()) -> str:
+def held_by_bounds(
+    names: Sequence[str], none: Collection[str] = (), little: Collection[str] = ()
+) -> str:
     """A sentence about parameters that a bound has stopped; empty where there are none.
 
-    Of those in ``none`` there can be no less, as of a variance that is 0.
+    Of those in ``none`` there can be no less, as of a variance that is 0; those in ``little`` are at a lower
+    bound that is next to nothing.
     """
-    nothing = [name for name in names if name in none]
-    names = [name for name in names if name not in none]
+    nothing, hardly = ([name for name in names if name in some] for some in (none, little))
+    names = [name for name in names if name not in {*none, *little}]
+    asked = []
     if nothing:
         many = "these are" if len(nothing) > 1 else "it is"
-        asked = f"The data ask for no {' and no '.join(nothing)}: {many} at 0, the least there is."
-        return f"{held_by_bounds(names)} {asked}".lstrip()
+        asked.append(f"{' and no '.join(nothing)}: {many} at 0, the least there is.")
+    if hardly:
+        many = "these are at bounds" if len(hardly) > 1 else "it is at a bound"
+        asked.append(f"{' and no '.join(hardly)}: {many} next to 0.")
+    if asked:
+        return " ".join(
+            [held_by_bounds(names), *(f"The data ask for no {one}" for one in asked)]
+        ).lstrip()
     if not names:
         return ""
     said = f"Stopped by a bound: {', '.join(names)}. The data draw"

@@ -51,6 +51,7 @@ class Parameter:
     scale: float = 0.0
 
 
+NEXT_TO_NOTHING = 1e-3  # of a parameter's start: a lower bound above 0 that is as good as 0
 AT_BOUND = 1e-6  # of a parameter's size: searches that stay inside a bound come as near
 
 
@@ -222,7 +223,12 @@ class BaseModel(Shown):
         low = {p.name for p in self.parameters if p.bounds[0] == 0.0 < p.bounds[1]}
         values = dict(zip(self.parameter_names, self.theta(theta).tolist(), strict=True))
         middle = {p.name: 0.5 * p.bounds[1] for p in self.parameters}
-        return held_by_bounds(at, [name for name in low if values[name] < middle[name]])
+        little = {
+            p.name
+            for p in self.parameters
+            if 0.0 < p.bounds[0] <= NEXT_TO_NOTHING * p.default and values[p.name] < p.default
+        }
+        return held_by_bounds(at, [name for name in low if values[name] < middle[name]], little)
 
     def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
         """Positions of the free parameters; None means all of them. Raises OptionError."""

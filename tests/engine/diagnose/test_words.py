@@ -95,6 +95,29 @@ def test_what_a_bound_has_stopped_is_named_with_what_to_do():
         assert "(free=)" in said
 
 
+def test_a_variance_at_a_bound_next_to_nothing_needs_no_wider_one():
+    """As models are begun with: q from 0.01, not below 1e-8. A stiffness that stops at 5 is another thing."""
+    model = replace(
+        LINEAR,
+        parameters=(
+            engine.Parameter("q", 0.01, "", (1e-8, 10.0)),
+            engine.Parameter("r", 1e-4, "", (1e-8, 1.0)),
+            engine.Parameter("k", 40.0, "", (5.0, 300.0)),
+        ),
+    )
+
+    def said(**values):
+        return model.held_in_words(values, ("q", "r", "k"))
+
+    assert said(q=1e-8) == "The data ask for no q: it is at a bound next to 0."
+    assert said(q=1e-8, r=1e-8) == "The data ask for no q and no r: these are at bounds next to 0."
+    assert said(k=5.0).startswith("Stopped by a bound: k. The data draw it there")
+    both = said(q=1e-8, k=5.0)
+    assert both.startswith("Stopped by a bound: k. ")
+    assert both.endswith("The data ask for no q: it is at a bound next to 0.")
+    assert said(q=10.0).startswith("Stopped by a bound: q.")
+
+
 def test_neighbouring_bounds_and_small_shares_can_be_told_apart():
     assert bounds(26.68, 26.73, "g/L") == ("26.68 g/L", "26.73 g/L")
     assert bounds(1.0, 2.0, "V") == ("1 V", "2 V")
