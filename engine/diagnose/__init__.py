@@ -57,7 +57,7 @@ from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError
-from engine.estimation.long_steps import about_predictions
+from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
@@ -280,7 +280,7 @@ def diagnose(  # noqa: PLR0913
 
     if fine.finer and not judged.causes:
         too_long = about_predictions(model, np.asarray(judged.before.theta), [shown])
-        notes.extend([too_long] if too_long else [])
+        notes.extend([f"{too_long} {FOR_ESTIMATES}"] if too_long else [])
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
     clock.start("symptoms")
     symptoms = find_symptoms(

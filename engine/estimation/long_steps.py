@@ -14,6 +14,10 @@ from engine.simulation.step_length import said_of, too_long
 from engine.statespace.model import Array, MixedModel
 
 FELT = 0.25  # squared differences of predictions, in their scatter: no estimate moves by half an error below it
+FOR_ESTIMATES = (
+    "That is for estimates: a diagnosis chooses its steps by itself, whatever those of the series are, and "
+    "parameters that it shows may be off by more than half their errors."
+)
 
 
 def about_predictions(model: MixedModel, theta: Array, all_series: Sequence[Series]) -> str:
