@@ -115,7 +115,7 @@ def set_of(found: Round) -> tuple[str, ...]:
 def named_by(search: Search) -> tuple[Cause, ...]:
     """The causes it names, in the order in which they were found."""
     named = [r for r in search.rounds if r.equivalent]
-    causes = [cause_of(r, search.final if len(named) == 1 else None) for r in named]
+    causes = [cause_of(r, search.final) for r in named]
     names = [cause.effect for cause in causes]
     looked_back = not search.of_the_steps and not any(
         r.refits[0].effect.traits.outliers for r in named
@@ -127,10 +127,13 @@ def named_by(search: Search) -> tuple[Cause, ...]:
 
 
 def cause_of(found: Round, final: QuasiFit | None = None) -> Cause:
-    """The best effect of a round, with what was held against it; its size as in the ``final`` fit, if given."""
+    """The best effect of a round, with what was held against it; its size as in the ``final`` fit, if given.
+
+    The round's own fit knows nothing of what was found later, and the size in it has that mixed in.
+    """
     best = found.refits[0]
     effect = best.effect
-    if final is not None and final is not best.fit and final.model is best.fit.model:
+    if final is not None and effect.size.name in final.free:
         best = replace(best, fit=final)
     amplitude, amplitude_error = amplitude_of(effect, best.fit)
     return Cause(
