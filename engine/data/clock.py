@@ -18,6 +18,7 @@ WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
+ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
 
 
 def times_in(times: Any, unit: str) -> Array:
@@ -142,6 +143,18 @@ def _step_in(dt: Any, unit: str) -> float:
         return float(dt)
     except (TypeError, ValueError) as error:
         raise SeriesError(f"dt = {dt!r}; a positive number is needed, or a duration") from error
+
+
+def elapsed(text: str) -> timedelta | None:
+    """Hours, minutes and seconds such as 25:30:00, as simulators and stop watches count; None of all else.
+
+    Two parts, 25:30, may be hours and minutes or minutes and seconds, and are none.
+    """
+    found = ELAPSED.fullmatch(text)
+    if found is None:
+        return None
+    seconds = float(found[3].replace(",", "."))
+    return timedelta(hours=int(found[1]), minutes=int(found[2]), seconds=seconds)
 
 
 def date_of(text: str) -> datetime | None:

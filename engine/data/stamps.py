@@ -8,8 +8,8 @@ from collections.abc import Collection
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.clock import date_of, times_in
-from engine.data.table import Table
+from engine.data.clock import date_of, elapsed, times_in
+from engine.data.table import TIME_OF_DAY, Table
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
 
@@ -42,6 +42,12 @@ def _begins_with_any_date(table: Table, name: str) -> bool:
     return date_of(first) is not None or ANY_DATE.fullmatch(first.strip()) is not None
 
 
+def _begins_with_hours(table: Table, name: str) -> bool:
+    """Whether the first cell that is not empty is 0:30 or 0:30:00: times of day, or since a start."""
+    first = _first_cell(table, name)
+    return elapsed(first) is not None or TIME_OF_DAY.fullmatch(first.strip()) is not None
+
+
 def _first_cell(table: Table, name: str) -> str:
     values = table.columns[name]
     return "" if isinstance(values, np.ndarray) else next(filter(str.strip, values), "")
@@ -61,6 +67,7 @@ def like_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
     left = [name for name in table.columns if name not in taken]
     for test, why in (
         (_begins_with_any_date, "holds dates"),
+        (_begins_with_hours, "holds hours and minutes"),
         (column_counts, "counts up evenly"),
         (_rises, "rises like times"),
     ):

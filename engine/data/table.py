@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.clock import about_zone, date_of, zone_changes
+from engine.data.clock import about_zone, date_of, elapsed, zone_changes
 from engine.errors import SeriesError
 from engine.units import named_with_unit
 
@@ -62,9 +62,15 @@ class Table:
             return np.array([self._number(name, i, cell) for i, cell in enumerate(values)])
 
     def times(self, name: str) -> Array | list[datetime]:
-        """A column of times (T,): numbers, or dates as ISO 8601 writes them."""
+        """A column of times (T,): numbers, dates as ISO 8601 writes them, or hours such as 25:30:00.
+
+        The latter are counted from the first day that there is: only what lies between them matters.
+        """
         values = self.columns[name]
-        if isinstance(values, np.ndarray) or date_of(next(filter(str.strip, values), "")) is None:
+        first = "" if isinstance(values, np.ndarray) else next(filter(str.strip, values), "")
+        if elapsed(first) is not None and not self._has_dates():
+            return [datetime.min + one for one in self._elapsed(name)]
+        if date_of(first) is None:
             return self.column(name)
         found = [date_of(cell) for cell in values]
         for i, (one, cell) in enumerate(zip(found, values, strict=True)):
@@ -79,6 +85,28 @@ class Table:
                 f"{self._place(name, row)}: '{values[row].strip()}' {about_zone(dates[row])}"
             )
         return dates
+
+    def _has_dates(self) -> bool:
+        """Whether a column begins with a date: hours beside it are those of several days."""
+        texts = (cells for cells in self.columns.values() if not isinstance(cells, np.ndarray))
+        return any(DATED.match(next(filter(str.strip, cells), "").strip()) for cells in texts)
+
+    def _elapsed(self, name: str) -> list[timedelta]:
+        """Times since a start (T,), which go on after a day."""
+        out: list[timedelta] = []
+        for i, cell in enumerate(self.columns[name]):
+            one = elapsed(cell)
+            if one is None:
+                raise SeriesError(
+                    f"{self._place(name, i)}: '{cell.strip()[:40]}' is not a time such as 25:30:00"
+                )
+            if out and one < out[-1]:
+                raise SeriesError(
+                    f"{self._place(name, i)}: '{cell.strip()}' is earlier than the time before it; times of day "
+                    "that pass midnight are read with their date, both in one column: 2024-03-01 13:45:00"
+                )
+            out.append(one)
+        return out
 
     def _repeated(self, name: str, cell: str) -> str:
         """What to do about a line that has the names of the columns once more."""
@@ -117,7 +145,8 @@ class Table:
             hint = "; dates of a column of times are read as 2024-03-01 13:45:00: write them so"
         elif TIME_OF_DAY.fullmatch(text):
             hint = (
-                "; times of day are read with their date, both in one column: 2024-03-01 13:45:00"
+                "; times of day are read with seconds, 13:45:00, or with their date, both in one column: "
+                "2024-03-01 13:45:00"
             )
         elif row == 0 and not any(is_number(cells[0].strip()) for cells in self.columns.values()):
             hint = "; if this line holds units, write them behind the names, as in 't [s]', or delete it"

@@ -642,3 +642,20 @@ def test_a_date_in_another_order_is_named_where_a_step_is_assumed(tmp_path):
     path = of(tmp_path, "Zeitstempel;y\n31.03.2024 12:00;1\n31.03.2024 12:01;2\n")
     with pytest.warns(ReadingWarning, match="as 'Zeitstempel' holds dates"):
         read_series(path)
+
+
+def test_hours_that_go_on_after_a_day(tmp_path):
+    """As simulators of networks and stop watches print them."""
+    text = "{},level\n23:30:00,1\n24:00:00,2\n24:30:00,1\n"
+    assert read_series(of(tmp_path, text.format("time")), y=["level"]).dt == 1800.0
+    minutes = read_series(of(tmp_path, text.format("time [min]")), y=["level"])
+    assert (minutes.dt, minutes.time_unit) == (30.0, "min")
+    called = of(tmp_path, text.format("Hours"))
+    with pytest.warns(ReadingWarning, match="'Hours' holds hours and minutes, give t='Hours'"):
+        read_series(called, y=["level"])  # a step of a second was assumed without a word
+    assert read_series(called, y=["level"], t="Hours", time_unit="h").dt == 0.5
+    midnight = of(tmp_path, "time,y\n23:59:50,1\n0:00:00,2\n")
+    with pytest.raises(SeriesError, match="line 3, column 'time': '0:00:00' is earlier.*midnight"):
+        read_series(midnight)
+    with pytest.raises(SeriesError, match="'0:30' is not a number; times of day .*with seconds"):
+        read_series(of(tmp_path, "time,y\n0:30,1\n1:00,2\n"))  # or minutes and seconds
