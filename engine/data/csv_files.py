@@ -30,7 +30,7 @@ _TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mar
 
 
 def read_csv(data: bytes, file: str) -> Table:
-    """A CSV with one header line; delimiter comma, semicolon or tab; leading # lines skipped.
+    """A CSV with one header line; delimiter comma, semicolon, tab or blanks; leading # lines skipped.
 
     Where commas do not part cells they may be those of decimals. Units may have a second line of their own.
     """
@@ -67,6 +67,9 @@ def read_csv(data: bytes, file: str) -> Table:
         if first >= last:
             raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
     delimiter = told[1] if told else _delimiter(lines[first:last])
+    if not told and delimiter == "," and _in_blanks(lines[first:last]):
+        lines[first:last] = ["\t".join(line.split()) for line in lines[first:last]]
+        delimiter = "\t"
     below = _names_below(lines, first, last)
     reader = csv.reader(lines[first:last], delimiter=delimiter)
     rows: list[list[str]] = []
@@ -127,6 +130,19 @@ def _delimiter(lines: Sequence[str]) -> str:
 
     best = max(DELIMITERS, key=agreeing)
     return best if agreeing(best) else ","
+
+
+def _in_blanks(lines: Sequence[str]) -> bool:
+    """Whether blanks part the cells, as in tables that simulators print: as many numbers as names in each row."""
+    names = lines[0].split()
+    rows = [row for line in lines[1:] if (row := line.split())]
+    return (
+        len(names) > 1
+        and bool(rows)
+        and "," not in lines[0]
+        and _are_names(names)
+        and all(len(row) == len(names) and all(map(is_number, row)) for row in rows)
+    )
 
 
 def _units_in(row: Sequence[str]) -> list[str]:
@@ -200,6 +216,8 @@ def _are_values(cells: Sequence[str]) -> bool:
 
 
 def _nameless(column: int, file: str, line: int, hint: str) -> SeriesError:
+    if not hint and column == 0:  # as pandas writes a table with its index
+        hint = "; if it is the index of a table, name it, as t where it has the times"
     return SeriesError(f"{file}, line {line}: column {column + 1} has no name{hint}")
 
 

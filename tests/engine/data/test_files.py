@@ -659,3 +659,17 @@ def test_hours_that_go_on_after_a_day(tmp_path):
         read_series(midnight)
     with pytest.raises(SeriesError, match="'0:30' is not a number; times of day .*with seconds"):
         read_series(of(tmp_path, "time,y\n0:30,1\n1:00,2\n"))  # or minutes and seconds
+
+
+def test_columns_between_blanks(tmp_path):
+    """Simulators print tables so; names of one column may have blanks in them."""
+    text = " time            v(out)  \n 0.00000e+00 -9.34e-09 \n 5.00000e-05 -1.54e-02 \n"
+    series = read_series(of(tmp_path, text), y=["v(out)"])
+    assert (series.dt, series.y[1, 0]) == (5e-5, -1.54e-2)
+    one = read_series(of(tmp_path, "my flow\n1\n2\n"), y=["my flow"])
+    assert one.y.shape == (2, 1)
+
+
+def test_the_index_of_a_table_has_no_name(tmp_path):
+    with pytest.raises(SeriesError, match="column 1 has no name; if it is the index of a table"):
+        read_series(of(tmp_path, ",y\n0,1\n3600,2\n"))
