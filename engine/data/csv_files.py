@@ -133,7 +133,7 @@ def _delimiter(lines: Sequence[str]) -> str:
 
 
 def _in_blanks(lines: Sequence[str]) -> bool:
-    """Whether blanks part the cells, as in tables that simulators print: as many numbers as names in each row."""
+    """Whether blanks part the cells, as in tables that simulators print: a number for each name in each row."""
     names = lines[0].split()
     rows = [row for line in lines[1:] if (row := line.split())]
     return (

@@ -102,8 +102,8 @@ class Table:
                 )
             if out and one < out[-1]:
                 raise SeriesError(
-                    f"{self._place(name, i)}: '{cell.strip()}' is earlier than the time before it; times of day "
-                    "that pass midnight are read with their date, both in one column: 2024-03-01 13:45:00"
+                    f"{self._place(name, i)}: '{cell.strip()}' is earlier than the time before it; times of "
+                    "day that pass midnight are read with their date, both in one column: 2024-03-01 13:45:00"
                 )
             out.append(one)
         return out

@@ -655,9 +655,9 @@ def test_hours_that_go_on_after_a_day(tmp_path):
         read_series(called, y=["level"])  # a step of a second was assumed without a word
     assert read_series(called, y=["level"], t="Hours", time_unit="h").dt == 0.5
     midnight = of(tmp_path, "time,y\n23:59:50,1\n0:00:00,2\n")
-    with pytest.raises(SeriesError, match="line 3, column 'time': '0:00:00' is earlier.*midnight"):
+    with pytest.raises(SeriesError, match=r"line 3, column 'time': '0:00:00' is earlier.*midnight"):
         read_series(midnight)
-    with pytest.raises(SeriesError, match="'0:30' is not a number; times of day .*with seconds"):
+    with pytest.raises(SeriesError, match=r"'0:30' is not a number; times of day .*with seconds"):
         read_series(of(tmp_path, "time,y\n0:30,1\n1:00,2\n"))  # or minutes and seconds
 
 
