@@ -22,6 +22,7 @@ from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import either_side, parameter_scale
+from engine.estimation.jumps import sides, slopes
 from engine.estimation.maximization import scoring_step
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours
 from engine.filters.sigma_point import free_thetas, moment_filter
@@ -298,10 +299,11 @@ def derivatives(
 
     ``visited``, one for each series, is what a search hands on from theta to theta. Where noise has a random
     scale the information is that of the predicted means, and beside it what the other part of the rows' scores
-    tells (Berndt, Hall, Hall, Hausman 1974): of outliers the moments of y do not have it.
+    tells (Berndt, Hall, Hall, Hausman 1974): of outliers the moments of y do not have it. Rows that jump
+    between the neighbours of theta tell the slope of the side that does not.
     """
     thetas, distances = neighbours(model, theta, indices)
-    n = len(indices)
+    n, apart = len(indices), sides(thetas, indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
     for i, one in enumerate(all_series):
         f = filter_neighbours(model, thetas, one, visited[i] if visited else None)
@@ -311,18 +313,20 @@ def derivatives(
             return -np.inf, g, H
         # a lost neighbour: the value is -inf below
         with np.errstate(invalid="ignore", over="ignore"):
-            g += (total[2::2] - total[1::2]) / distances
-            d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
-            d_S = f.S[:, 2::2] - f.S[:, 1::2]
+            d_log = slopes(f.log_terms, *apart)
+            jumped = d_log - (f.log_terms[:, 2::2] - f.log_terms[:, 1::2]) / distances
+            g += (total[2::2] - total[1::2]) / distances + np.nan_to_num(jumped).sum(axis=0)
+            d_nu = np.nan_to_num(slopes(f.innovations, *apart))
+            d_S = slopes(f.S, *apart)
             root = whitening(f.S[:, 0], one.observed)
-            z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None])
+            z = np.einsum("tij,tkj->kti", root, d_nu)
             if model.random_scales:
                 by_mean = np.einsum("kti,tij,tj->tk", z, root, np.nan_to_num(f.innovations[:, 0]))
-                rest = (f.log_terms[:, 2::2] - f.log_terms[:, 1::2]) / distances + by_mean
+                rest = d_log + by_mean
                 H += np.einsum("kti,lti->kl", z, z) + rest.T @ rest
                 continue
             z = z.reshape(n, root.shape[0] * root.shape[1])
-            E = root[:, None] @ (d_S / distances[:, None, None]) @ root[:, None].swapaxes(-1, -2)
+            E = root[:, None] @ d_S @ root[:, None].swapaxes(-1, -2)
             E = E.swapaxes(0, 1).reshape(n, root.size)
             H += z @ z.T + 0.5 * E @ E.T
     if not (np.isfinite(g).all() and np.isfinite(H).all()):
