@@ -46,6 +46,16 @@ def nile_diagnosis() -> Any:
     return engine.diagnose(engine.get_model("local-level"), nile(), effects=effects, seed=1)
 
 
+@pytest.fixture(scope="session")
+def clear_diagnosis() -> Any:
+    """Likewise of flows whose step is clear, in a quarter of the time."""
+    import engine
+    from tests.engine.clear_step import clear_flows
+
+    effects = ["step", "pulse"]
+    return engine.diagnose(engine.get_model("local-level"), clear_flows(), effects=effects, seed=1)
+
+
 def of_the_process() -> dict[str, Any]:
     """What holds for the whole process, and so for all tests that come later."""
     # which the service and the studies set for their workers

@@ -15,7 +15,6 @@ import pytest
 
 import engine
 from engine import words
-from engine.data import nile
 from engine.data.files import read_series, write_series
 from service import stages
 from service.computations import simulate as simulated_by_the_service
@@ -23,6 +22,7 @@ from service.examples import EXAMPLES
 from service.strict_json import dumps
 from service.validation import load
 from tests.cli.conftest import RBPS
+from tests.engine.clear_step import clear_flows
 from tests.patience import eventually
 
 QUICK = ("-n", "3", "--no-standard-errors")
@@ -51,7 +51,7 @@ mine = engine.MixedModel(
 def flows(tmp_path):
     path = tmp_path / "flows.csv"
     path.write_text("year,flow\n" + "".join(
-        f"{1871 + i},{value:g}\n" for i, value in enumerate(nile().y[:, 0])))  # fmt: skip
+        f"{1871 + i},{value:g}\n" for i, value in enumerate(clear_flows().y[:, 0])))  # fmt: skip
     return path
 
 
@@ -161,7 +161,7 @@ def test_fit_gives_the_engines_numbers(rbps, flows):
     assert "a step of 1 s is assumed" in line
     document = result.json()
     model = engine.get_model("local-level")
-    found = engine.rbps_em(model, nile(), {"q": 5000.0, "level": 1100.0}, free=["q", "r"],
+    found = engine.rbps_em(model, clear_flows(), {"q": 5000.0, "level": 1100.0}, free=["q", "r"],
                            n_iterations=3, seed=3)  # fmt: skip
     for name in ("q", "r"):
         assert document["estimate"][name]["value"] == found.theta[name]
@@ -209,7 +209,7 @@ def test_starts_and_bootstrap_are_the_services(rbps, flows):
                   "rts-em", "-n", 5, "--starts", 3, "--bootstrap", 4, "--seed", 2, "-o", "a.json")  # fmt: skip
     assert result.exit_code == 0, result.stderr
     job = load({
-        "kind": "estimate", "model": "local-level", "series": [{"y": nile().y.tolist()}],
+        "kind": "estimate", "model": "local-level", "series": [{"y": clear_flows().y.tolist()}],
         "parameters": {"start": {"q": 3000.0}, "free": ["q", "r"]},
         "options": {"method": "rts-em", "iterations": 5, "starts": 3, "bootstrap": 4, "seed": 2},
     })  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 
 import engine
 from engine.data import nile
+from tests.engine.clear_step import clear_flows
 
 # A cell as a user writes it; IPython runs it by exec in the namespace of __main__.
 CELL = """
@@ -142,7 +143,9 @@ def test_displays_are_tables(cell):
 def test_a_diagnosis_shows_its_verdict(cell):
     page = Checker(cell["diagnosis"]._repr_html_())
     assert page.text[0] == f"mine: {cell['diagnosis'].verdict.value}"
-    found = engine.diagnose(engine.get_model("local-level"), nile(), effects=["step"], seed=1)
+    found = engine.diagnose(
+        engine.get_model("local-level"), clear_flows(), effects=["step"], seed=1
+    )
     page = Checker(found._repr_html_())
     assert "step:flow" in page.text
     assert any("flow = ... + step_flow" in text for text in page.text)

@@ -73,6 +73,7 @@ def test_a_bar_with_the_time_that_is_left(folder, terminal):
     assert "theta_2" in shouted
 
 
+@pytest.mark.slow
 def test_ctrl_c_and_going_on_give_the_same_numbers(folder, terminal, uninterrupted):
     run = terminal("fit", *FIT, "--out", "result.json")
     run.until(r" ([5-9]|[12]\d)/30")  # the bar is drawn anew now and then: numbers are left out

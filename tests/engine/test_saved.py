@@ -246,16 +246,16 @@ def test_a_general_model_with_other_noise_is_refused(tmp_path):
         engine.load(saved, model=heavy)
 
 
-def test_a_diagnosis_in_a_file_and_pickled(nile_diagnosis, tmp_path):
+def test_a_diagnosis_in_a_file_and_pickled(clear_diagnosis, tmp_path):
     def told(found):
         document = found.to_dict()
         return {key: document[key] for key in document if key not in ("seconds", "page")}
 
-    saved = nile_diagnosis.save(tmp_path / "diagnosis.json")
-    for again in (engine.load(saved), pickle.loads(pickle.dumps(nile_diagnosis))):
-        assert again.verdict is nile_diagnosis.verdict
-        assert again.causes == nile_diagnosis.causes
-        assert told(again) == told(nile_diagnosis)
+    saved = clear_diagnosis.save(tmp_path / "diagnosis.json")
+    for again in (engine.load(saved), pickle.loads(pickle.dumps(clear_diagnosis))):
+        assert again.verdict is clear_diagnosis.verdict
+        assert again.causes == clear_diagnosis.causes
+        assert told(again) == told(clear_diagnosis)
 
 
 @pytest.mark.parametrize("text", ["no JSON", "{}", '{"kind": 1}', "[]"])

@@ -203,6 +203,7 @@ def test_losses_with_progress_between_them_do_not_add_up(
     assert service.client.get(f"{url}/tasks").json()["tasks"][0]["restarts"] == 5
 
 
+@pytest.mark.slow
 def test_a_stopped_job_goes_on_where_it_was(make_client, wait, ended, request_, expected):
     client = make_client(workers=1)
     url = client.post("/jobs", json=request_).headers["location"]

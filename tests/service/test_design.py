@@ -127,6 +127,7 @@ def test_what_bounds_leave_out_is_as_in_the_data_of_the_effects(monkeypatch):
     assert (second["dt"], second["substeps"], second["time_unit"]) == (0.5, 2, "h")
 
 
+@pytest.mark.slow
 def test_an_older_document_is_refused(diagnosed):
     document = {name: value for name, value in diagnosed[1]["diagnosis"].items() if name != "next"}
     with pytest.raises(engine.OptionError, match="earlier version; run it again"):

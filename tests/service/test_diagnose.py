@@ -13,6 +13,7 @@ from service import diagnoses
 from service.diagnoses import Percent, in_a_line
 from service.schemas import DiagnoseRequest
 from service.validation import load
+from tests.engine.clear_step import clear_flows
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +143,7 @@ def test_too_few_measurements_are_refused_with_the_reason(client):
 
 @pytest.mark.slow
 def test_what_was_kept_of_a_model_that_has_changed_since_is_not_used():
-    flows = nile()
+    flows = clear_flows()
     document = {
         "kind": "diagnose",
         "model": "local-level",
@@ -266,20 +267,20 @@ def test_several_records_and_several_held_out_ones(client, ended, pushed):
     assert wrong.json()["errors"][0]["field"] == "test[1].y"
 
 
-def test_the_list_of_jobs_says_what_was_found(nile_diagnosis):
+def test_the_list_of_jobs_says_what_was_found(clear_diagnosis):
     """The cause with its size, not that there is one."""
-    said = in_a_line(nile_diagnosis)
-    (cause,) = nile_diagnosis.causes
+    said = in_a_line(clear_diagnosis)
+    (cause,) = clear_diagnosis.causes
     assert said.startswith(f"Step of the reading flow {cause.size:.0f} +- ")
     assert said.endswith("dopted on held-out data.")
     several = replace(cause, equivalent=(cause.effect, "pulse:flow", "drift:flow"))
-    assert ", or pulse:flow or drift:flow" in in_a_line(replace(nile_diagnosis, causes=(several,)))
-    assert in_a_line(replace(nile_diagnosis, gain=None)).endswith(
+    assert ", or pulse:flow or drift:flow" in in_a_line(replace(clear_diagnosis, causes=(several,)))
+    assert in_a_line(replace(clear_diagnosis, gain=None)).endswith(
         "No data were held out to judge it."
     )
-    unknown = replace(nile_diagnosis, verdict=Verdict.UNKNOWN)
+    unknown = replace(clear_diagnosis, verdict=Verdict.UNKNOWN)
     assert in_a_line(unknown).startswith(Verdict.UNKNOWN.sentence + " Nearest: Step of")
-    nothing = replace(nile_diagnosis, verdict=Verdict.NOTHING, causes=())
+    nothing = replace(clear_diagnosis, verdict=Verdict.NOTHING, causes=())
     assert in_a_line(nothing) == Verdict.NOTHING.sentence
 
 

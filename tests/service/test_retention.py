@@ -112,6 +112,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_can_be_freed(small_disk):
     store = Store(f"sqlite:///{small_disk}/rbps.sqlite")
     rng, made = np.random.default_rng(0), []

@@ -12,6 +12,7 @@ from engine.data.files import write_series
 from engine.errors import OptionError, SeriesError
 from engine.statespace.clock import about_clock
 from engine.units import alike, clock_of, differ, frequency_in, is_per, named_with_unit
+from tests.engine.clear_step import clear_flows
 
 pd = pytest.importorskip("pandas")
 
@@ -170,7 +171,7 @@ def found():
     model = engine.get_model("local-level")
     kinds = ["step", "ramp"]
     return {
-        unit: engine.diagnose(model, nile().replace(time_unit=unit), effects=kinds)
+        unit: engine.diagnose(model, clear_flows(400.0).replace(time_unit=unit), effects=kinds)
         for unit in ("year", "s")
     }
 

@@ -152,6 +152,7 @@ def test_noise_that_the_mean_adapted_to_is_estimated_low_and_makes_tests_bold():
     assert known == pytest.approx(plain, abs=0.15)  # an earlier record leaves nothing to adapt to
 
 
+@pytest.mark.slow
 def test_statistics_that_are_drawn_are_those_of_a_screen():
     """Also what noise parameters have in common with the effect, by chance, which a screen takes out of it."""
     N, model, u = 60, drive(), np.repeat(np.random.default_rng(5).uniform(-6, 6, (1, 12, 1)), 5, 1)

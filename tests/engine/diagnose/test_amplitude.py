@@ -68,6 +68,7 @@ def test_a_refit_gains_over_no_wave_at_all_wherever_it_starts():
     assert gains[0] == pytest.approx(gains[1], abs=0.1)
 
 
+@pytest.mark.slow
 def test_its_error_is_the_spread_of_estimates(found):
     """Of 30 records with the same wave, the extended model estimated from the truth."""
     series = record(1)

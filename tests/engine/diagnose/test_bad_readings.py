@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import engine
 from engine import diagnose
@@ -44,6 +45,7 @@ def test_the_largest_of_several_bad_readings_is_not_the_cause():
     assert names(found) == [f"heavy-tails:{output}"]
 
 
+@pytest.mark.slow
 def test_a_bad_last_reading_is_told_beside_the_force_that_looks_the_same():
     """A push of the state one row before shows in the last reading only: nothing tells them apart."""
     kinds = ["pulse", "heavy-tails", "step", "level"]

@@ -87,6 +87,7 @@ def test_what_an_effect_begins_with_is_within_its_bounds_however_short_the_recor
             extended.theta(dict(zip(further, probe, strict=False)))  # those of outliers are none
 
 
+@pytest.mark.slow
 def test_two_effects_with_states_of_their_own_have_as_many_names_as_states():
     """Bouc-Wen's hysteresis beside a plain one of the same signal: both remember where it was."""
     model = engine.get_model("mixed-4")

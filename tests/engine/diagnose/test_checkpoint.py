@@ -15,6 +15,7 @@ from engine.diagnose.search import checkpoint as keeping
 from engine.diagnose.search import pipeline
 from engine.errors import OptionError
 from engine.presentation.report import report_html
+from tests.engine.clear_step import clear_flows
 from tests.engine.hidden_effects import DRIVE, levels
 
 LEVEL = engine.get_model("local-level")
@@ -116,7 +117,7 @@ STEP = {"effects": ["step"], "seed": 1}
 def parts_of_step():
     """What is kept of a diagnosis that was asked for with a number of NumPy, as JSON."""
     kept = {}
-    diagnose(LEVEL, nile(), **STEP | {"seed": np.int64(1)}, kept=kept)
+    diagnose(LEVEL, clear_flows(), **STEP | {"seed": np.int64(1)}, kept=kept)
     return json.dumps(kept)
 
 
@@ -126,7 +127,7 @@ def kept(parts_of_step):
 
 
 def test_what_was_kept_of_another_diagnosis_is_refused(kept):
-    flows = nile()
+    flows = clear_flows()
     options = STEP | {"kept": kept}
     other = Series(flows.y + 1e-9, t=flows.t, y_names=flows.y_names)
     faster = engine.MixedModel(**{**vars_of(LEVEL), "measurement": twice})
@@ -144,20 +145,20 @@ def test_what_was_kept_of_another_diagnosis_is_refused(kept):
 
 
 def test_numbers_of_numpy_ask_for_the_same(kept, parts_of_step):
-    diagnose(LEVEL, nile(), **STEP, kept=kept)
+    diagnose(LEVEL, clear_flows(), **STEP, kept=kept)
     assert kept == json.loads(parts_of_step)
 
 
 def test_what_another_version_kept_is_refused(monkeypatch, kept):
     monkeypatch.setattr(keeping, "version", lambda name: "0.0.1")
     with pytest.raises(OptionError, match="another version of rbps"):
-        diagnose(LEVEL, nile(), **STEP, kept=kept)
+        diagnose(LEVEL, clear_flows(), **STEP, kept=kept)
 
 
 def test_another_catalogue_is_refused(monkeypatch, kept):
     monkeypatch.setitem(catalogue._makers, "new", catalogue._makers["step"])
     with pytest.raises(OptionError, match="another catalogue"):
-        diagnose(LEVEL, nile(), **STEP, kept=kept)
+        diagnose(LEVEL, clear_flows(), **STEP, kept=kept)
 
 
 def vars_of(model):

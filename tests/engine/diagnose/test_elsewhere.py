@@ -20,6 +20,7 @@ def found():
     return engine.diagnose(absorption(), knocked, seed=1, effects=kinds)
 
 
+@pytest.mark.slow
 def test_the_step_is_named_that_the_bent_fit_does_not_lead_to(found):
     assert bent(found.search.rounds[0].refits, found.series)
     assert found.verdict.value == "named"

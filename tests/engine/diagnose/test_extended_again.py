@@ -31,6 +31,7 @@ def test_steps_are_chosen_for_an_extended_model(kind: str) -> None:
     assert choose(setting_for(model, series, theta), series, theta) >= 1
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_an_extended_model() -> None:
     rng = np.random.default_rng(2)
     plain = engine.get_model("oscillator")

@@ -28,6 +28,7 @@ def late_step():
     return Series(y, dt=1.0, y_names=series.y_names)
 
 
+@pytest.mark.slow
 def test_a_step_in_the_last_fifth_is_found_where_nothing_is_held_out(tmp_path):
     asked = {"effects": ["step"], "seed": 1}
     before = engine.diagnose(LEVEL, late_step(), **asked)

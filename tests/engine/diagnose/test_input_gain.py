@@ -23,5 +23,6 @@ def test_rain_that_is_more_than_recorded_is_a_gain_of_the_input():
     assert found.gain.adopt
 
 
+@pytest.mark.slow
 def test_rain_that_is_what_was_recorded_is_left_alone():
     assert asked(2, 1.0).causes == ()

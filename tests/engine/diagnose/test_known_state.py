@@ -61,6 +61,7 @@ def test_slopes_are_those_of_the_model_however_well_the_state_is_known(unit, zer
     np.testing.assert_allclose(path.F[:, 1, 1], np.exp(-DT / TAU), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_what_acts_on_it_is_named_and_no_size_is_said_that_nobody_could_see():
     """Once the offset was not testable, and a drag of the force was said to be seen from 1e-103 on."""
     kinds = ["input-offset", "linear"]

@@ -56,6 +56,7 @@ def test_nothing_acts_on_a_state_that_only_scales_noise():
     assert set(names) == {*usual, *more}
 
 
+@pytest.mark.slow
 def test_noise_that_the_search_does_not_see_is_told():
     """The same model, with a size of its noise that the filter of the search is not told of."""
     options = {"effects": ["bias"], "held_out": 0}

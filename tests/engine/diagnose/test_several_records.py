@@ -172,10 +172,12 @@ def test_many_short_records_tell_together_what_none_could_alone():
         asked(short_records(STIFF, 3, n=1))
 
 
+@pytest.mark.slow
 def test_many_short_records_of_a_right_model_show_nothing():
     assert asked(short_records({}, 4)).causes == ()
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_where_the_model_does_not_is_left_to_the_free_run():
     records = short_records({}, 5, n=4, T=40)
     records[2] = records[2].replace(y=records[2].y + 30.0)
@@ -198,6 +200,7 @@ def test_simulations_of_many_records_begin_each_anew():
     assert found.p_bootstrap == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_what_one_short_record_cannot_tell_does_not_spoil_the_fit_to_all():
     """Its estimate lies far along a ridge, from which the fit to all of them did not come back."""
     servo, rng, records = engine.get_model("servo"), np.random.default_rng(3021), []
@@ -242,6 +245,7 @@ def test_a_gain_on_blocks_of_refined_records_is_that_of_their_samples():
     assert gain.log_density == 0.0
 
 
+@pytest.mark.slow
 def test_a_step_may_end_with_its_record():
     """Where times tell records apart; once the next one, in which it was gone, called for another step."""
     records = [levels(120, 1, 1000.0), levels(100, 2, 2000.0, 150.0), levels(90, 3, 3000.0)]

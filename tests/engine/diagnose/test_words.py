@@ -358,6 +358,7 @@ def named():
     return diagnose(model, Series(y, u, dt=0.2), effects=["force", "bias", "cubic"], seed=1)
 
 
+@pytest.mark.slow
 def test_a_model_that_is_not_registered_is_not_got_by_its_name(named):
     assert named.causes
     assert not in_the_library(named).count("get_model")

@@ -65,8 +65,15 @@ def test_exact_em_ends_once_it_has_settled_and_not_before():
     assert few.theta[0] == few.trace[-1, 0]
 
 
-@pytest.mark.parametrize("method", ["quasi-newton", "em"])
-@pytest.mark.parametrize("warm_start", [True, False])
+@pytest.mark.parametrize(
+    ("method", "warm_start"),
+    [
+        ("quasi-newton", True),
+        ("em", False),
+        pytest.param("quasi-newton", False, marks=pytest.mark.slow),
+        pytest.param("em", True, marks=pytest.mark.slow),
+    ],
+)
 def test_resumed_runs_give_the_same_bits(method, warm_start):
     parts = [SERIES.part(0, 40), SERIES.part(40, 100)]
     options = SHORT | {"n_iterations": 8, "method": method, "warm_start": warm_start}

@@ -91,6 +91,7 @@ def slopes(errors):
     return {name: np.polyfit(np.log(SIZES), np.log(v), 1)[0] for name, v in errors.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["common", "na = 1", "nz = 0"])
 def test_errors_fall_like_one_over_root_m(case):
     model = CASES[case]

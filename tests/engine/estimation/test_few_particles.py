@@ -63,6 +63,7 @@ def test_the_bias_of_a_long_series_is_no_shortfall():
     assert found.times == 1
 
 
+@pytest.mark.slow
 def test_enough_particles_are_left_alone():
     rng, start = np.random.default_rng(1), {"sigma_v": 1.0}
     series = engine.simulate(OSCILLATOR, start, 60, rng, PUSH, dt=0.3).series
@@ -86,6 +87,7 @@ def runs(**more):
         yield of(found.theta) - of(QUIET), of(last) - of(QUIET), found
 
 
+@pytest.mark.slow
 def test_a_start_is_not_left_for_what_is_far_less_likely():
     blind = [gain for gain, _, _ in runs(recover=False)]
     assert min(blind) < -2.0 * FAR_NATS  # iterations as the paper has them
@@ -143,7 +145,7 @@ def test_a_moment_filter_that_is_wrong_has_no_say():
     np.testing.assert_array_equal(found.theta, heavy)
 
 
-@pytest.mark.parametrize("seed", [3, 6])
+@pytest.mark.parametrize("seed", [3, pytest.param(6, marks=pytest.mark.slow)])
 def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
     """The scores of few particles are far off with next to no process noise; the moment filter is exact."""
     series, free = swung(seed), ("omega", "zeta", "sigma_y")
@@ -169,7 +171,9 @@ def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():
     assert found is at
 
 
-@pytest.mark.parametrize(("bounds", "moved"), [((0.1, 5.0), 0.1), ((0.0, 0.2), 0.05)])
+@pytest.mark.parametrize(
+    ("bounds", "moved"), [((0.1, 5.0), 0.1), pytest.param((0.0, 0.2), 0.05, marks=pytest.mark.slow)]
+)
 def test_the_bounds_told_are_those_of_where_an_estimate_has_moved_to(bounds, moved):
     """From zeta = 0.2, at its bound or not, to its lower bound or to the truth, 0.05."""
     parameters = [

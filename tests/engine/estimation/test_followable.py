@@ -1,6 +1,7 @@
 """A sensor with next to no noise, whose reading depends on the state nonlinearly."""
 
 import numpy as np
+import pytest
 
 import engine
 from engine.estimation.e_steps import rbps_step
@@ -40,6 +41,7 @@ def test_a_point_that_particles_follow_is_kept():
     assert asked(at_bound, start)[0] is at_bound
 
 
+@pytest.mark.slow
 def test_em_ends_at_the_maximum_where_the_sensor_has_next_to_no_noise():
     """It ended 6 nats below, as particles lost the series at the start that was found."""
     found = engine.rbps_em(RESERVOIR, SERIES, seed=1, n_iterations=40)

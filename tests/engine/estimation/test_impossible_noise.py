@@ -99,6 +99,7 @@ def test_a_filter_says_what_is_negative_and_when_though_the_model_was_used_befor
     assert log_likelihoods(model, WHITE[:1], thetas[1:])[0] == -np.inf
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(st.integers(-9, 9))
 def test_a_variance_without_bounds_ends_at_zero_in_any_units(power):
@@ -125,6 +126,7 @@ def test_neither_do_particles_end_at_a_negative_variance_nor_plain_em():
     assert 0.0 <= found.theta[0] < 0.02
 
 
+@pytest.mark.slow
 def test_a_covariance_of_two_noises_ends_inside_what_is_possible():
     rng = np.random.default_rng(0)
     x, y = np.zeros(2), []

@@ -33,6 +33,7 @@ def sway():
     )
 
 
+@pytest.mark.slow
 def test_a_slope_that_the_moment_filter_does_not_see_is_climbed():
     """It "converged" ten nats short: its metric was a million times what all states known would give."""
     truth, start = {"q": 3e-4, "r": 0.1}, {"q": 0.03, "r": 0.1}

@@ -38,6 +38,7 @@ def test_exact_interval_is_where_the_likelihood_has_fallen(linear):
     assert found.maximum[0] == pytest.approx(at, abs=0.01 * width)
 
 
+@pytest.mark.slow
 def test_interval_is_not_moved_by_an_estimate_short_of_the_maximum(linear):
     model, series, best = linear
     arrived = engine.likelihood_intervals(model, best.theta, series, exact=True)
@@ -52,6 +53,7 @@ def test_interval_is_not_moved_by_an_estimate_short_of_the_maximum(linear):
     assert short.maximum[0] == pytest.approx(arrived.maximum[0], abs=0.02 * width)
 
 
+@pytest.mark.slow
 def test_particles_give_the_exact_interval_within_their_stated_error(linear):
     model, series, best = linear
     exact = engine.likelihood_intervals(model, best.theta, series, exact=True)

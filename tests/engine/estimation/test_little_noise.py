@@ -54,7 +54,9 @@ def test_exact_standard_errors_are_the_curvature_however_little_the_noise(q):
     assert stated.values[0] == pytest.approx(by_hand, rel=0.01)
 
 
-@pytest.mark.parametrize("q", [1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize(
+    "q", [*(pytest.param(q, marks=pytest.mark.slow) for q in (1e-4, 1e-6, 1e-8)), 1e-10]
+)
 def test_particles_standard_errors_are_the_curvature_however_little_the_noise(q):
     """Differences of their scores drown in noise there; the moment filter's information does not."""
     model, series = lag(q), record()

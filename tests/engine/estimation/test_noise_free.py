@@ -171,6 +171,7 @@ def test_where_the_likelihood_cannot_be_had_it_is_said(case, monkeypatch):
     assert "Not estimated" in found.message
 
 
+@pytest.mark.slow
 def test_a_variance_that_starts_at_zero_can_leave_it():
     """Q(theta, theta_k) keeps the rank of Q: EM alone would stay at zero for ever."""
     model = level(False)

@@ -53,6 +53,7 @@ def test_a_start_is_searched_for_where_the_readings_show_the_states(shown):
     assert ("does not see them" in ahead.note) == (not shown)
 
 
+@pytest.mark.slow
 def test_a_variance_is_not_left_on_its_bound():
     """There it lies 16 nats below the maximum, phi = 0.957 and s2 = 0.028 by a grid of 500 points."""
     found = engine.rbps_em(volatility(0.0), returns(), n_iterations=25, method="em", seed=5)
@@ -60,6 +61,7 @@ def test_a_variance_is_not_left_on_its_bound():
     assert found.theta["s2"] > 0.01
 
 
+@pytest.mark.slow
 def test_states_that_an_input_at_rest_hides_at_first_are_seen():
     model = volatility(0.0)
     seen = replace(

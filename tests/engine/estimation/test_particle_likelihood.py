@@ -96,7 +96,8 @@ def most_likely(series: engine.Series) -> float:
     return -float(found.fun)
 
 
-@pytest.mark.parametrize("nonlinear", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("nonlinear", [False, True])
 def test_outliers_are_no_weight_on_parameters_of_what_has_no_noise(nonlinear):
     """The maximum is that of the exact mixture, not that of one Gaussian noise for all readings."""
     series, model = record(2), with_mixture(decay(nonlinear), share_default=0.1)

@@ -45,7 +45,7 @@ def record() -> engine.Series:
     return engine.simulate(capacitor(dict.fromkeys(UNITS, 1.0)), None, 300, rng, u=u, dt=0.5).series
 
 
-@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("exact", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_standard_errors_do_not_depend_on_units(record, exact):
     usual = dict.fromkeys(UNITS, 1.0)
     scale = np.array(list(UNITS.values()))
@@ -60,6 +60,7 @@ def test_standard_errors_do_not_depend_on_units(record, exact):
     assert (np.abs(there.covariance / both - found.covariance) < 2e-3 * largest).all()
 
 
+@pytest.mark.slow
 def test_likelihood_intervals_neither(record):
     plain, far = capacitor(dict.fromkeys(UNITS, 1.0)), capacitor(UNITS)
     at = engine.rts_em(plain, record, n_iterations=100).theta
@@ -92,7 +93,7 @@ def level_by_deviations(default: float, na: int = 0) -> engine.MixedModel:
     )
 
 
-@pytest.mark.parametrize("far", [1e4, 1e6])
+@pytest.mark.parametrize("far", [pytest.param(1e4, marks=pytest.mark.slow), 1e6])
 def test_errors_of_deviations_far_below_their_defaults_are_as_of_others(far: float) -> None:
     rng = np.random.default_rng(0)
     y = 1e-7 * (np.cumsum(rng.standard_normal(150)) + rng.standard_normal(150))

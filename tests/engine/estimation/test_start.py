@@ -22,6 +22,7 @@ def series():
     return simulate(get_model("mixed-4"), None, 120, np.random.default_rng(16)).series
 
 
+@pytest.mark.slow
 def test_a_start_in_another_basin_is_left_and_the_trace_begins_with_it(series):
     model = get_model("mixed-4")
     options = {"n_particles": 50, "n_iterations": 5}
@@ -92,6 +93,7 @@ def test_only_free_parameters_move(series):
     assert 0.5 < found[0]["theta_2"] < 1.6
 
 
+@pytest.mark.slow
 def test_searches_that_come_to_a_known_maximum_end_there(series, monkeypatch):
     """The maxima are those of searches that all go to their end, in fewer iterations."""
     model = get_model("mixed-4")

@@ -72,7 +72,15 @@ def height(theta, series):
     return LikelihoodStep(trend(), [series]).of(trend().theta(dict(theta.asdict())))
 
 
-@pytest.mark.parametrize("little", [{"q": 1e-9, "s": 1e-9}, {"q": 1e-9}, {"r": 1e-4}, {"r": 1e-8}])
+@pytest.mark.parametrize(
+    "little",
+    [
+        pytest.param({"q": 1e-9, "s": 1e-9}, marks=pytest.mark.slow),
+        {"q": 1e-9},
+        {"r": 1e-4},
+        {"r": 1e-8},
+    ],
+)
 def test_a_start_with_next_to_no_noise_is_left_for_the_maximum(measured, highest, little):
     """They "stood still", tens of nats short, and the data seemed to ask for no noise."""
     found = engine.rts_em(trend(), measured, {**START, **little})
@@ -101,6 +109,7 @@ def test_an_estimate_next_to_no_noise_is_moved_where_more_of_it_is_likelier(meas
     assert summit(moved) is moved
 
 
+@pytest.mark.slow
 def test_particles_of_a_linear_model_end_at_the_exact_maximum(measured, highest):
     """On a flat ridge they settled anywhere within a nat."""
     found = engine.rbps_em(trend(1), measured, n_particles=10)

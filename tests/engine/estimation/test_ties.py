@@ -119,7 +119,7 @@ def test_likelihood_ratio_intervals_are_refused(best):
         engine.likelihood_intervals(PRODUCT, best.theta, SERIES, exact=True)
 
 
-@pytest.mark.parametrize("method", ["em", "quasi-newton"])
+@pytest.mark.parametrize("method", [pytest.param("em", marks=pytest.mark.slow), "quasi-newton"])
 def test_estimations_say_so(method):
     few = {"method": method, "n_iterations": 3}
     assert SAID in engine.rts_em(PRODUCT, SERIES, **few).message
@@ -127,6 +127,7 @@ def test_estimations_say_so(method):
     assert "together" not in engine.rts_em(PRODUCT, SERIES, free=ALONE, **few).message
 
 
+@pytest.mark.slow
 def test_the_unit_of_a_hidden_state_is_found_with_particles():
     series = record(UNIT)
     with warnings.catch_warnings():  # the moment filter's maximum is not theirs
@@ -135,6 +136,7 @@ def test_the_unit_of_a_hidden_state_is_found_with_particles():
     assert found.tied == ("b", "c", "q")
 
 
+@pytest.mark.slow
 def test_what_only_particles_see_is_not_refused():
     """To the moment filter the readings' variance is one number, to which both parameters contribute."""
     series = engine.simulate(VOLATILITY, None, 200, np.random.default_rng(1)).series
@@ -153,7 +155,14 @@ NEAR = first_order(
 )
 
 
-@pytest.mark.parametrize(("apart", "correlation"), [(0.1, 0.98), (0.02, 0.999), (1e-3, 0.999998)])
+@pytest.mark.parametrize(
+    ("apart", "correlation"),
+    [
+        pytest.param(0.1, 0.98, marks=pytest.mark.slow),
+        pytest.param(0.02, 0.999, marks=pytest.mark.slow),
+        (1e-3, 0.999998),
+    ],
+)
 def test_strongly_correlated_parameters_keep_their_errors(apart, correlation):
     """Two inputs that are nearly one: the errors are large, and right."""
     series = record(NEAR, 300, apart=apart)

@@ -144,6 +144,7 @@ def many(best):
     ]
 
 
+@pytest.mark.slow
 def test_the_error_of_the_score_is_its_spread_over_seeds(many):
     """A standard deviation from 16 numbers is off by 18 %; outside these limits 1 time in 1000."""
     spread = np.std([one.score[0] for one in many], ddof=1)
@@ -267,6 +268,7 @@ def test_on_a_curved_ridge_the_errors_are_those_at_the_maximum(options, ridge):
     assert found.settled
 
 
+@pytest.mark.slow
 def test_along_a_curved_ridge_intervals_end_where_the_profile_has_fallen(ridge):
     model, series, at, _ = ridge
     found = engine.likelihood_intervals(model, at, series, exact=True)

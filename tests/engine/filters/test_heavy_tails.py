@@ -143,6 +143,7 @@ def test_likelihood_agrees_with_numerical_integration(case: str) -> None:
     assert ratio.std() < 0.25
 
 
+@pytest.mark.slow
 def test_nu_is_estimated() -> None:
     """EM ends where the numerically integrated likelihood is largest."""
     y = contaminated(150, 5)
@@ -277,7 +278,13 @@ def test_what_cannot_be_is_named() -> None:
 
 
 @pytest.mark.parametrize("extend", [engine.with_mixture, engine.with_student_t])
-@pytest.mark.parametrize("effects", [["bias:reading"], ["pole:speed"], ["drag:speed"]])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ["bias:reading"],
+        *(pytest.param([one], marks=pytest.mark.slow) for one in ("pole:speed", "drag:speed")),
+    ],
+)
 def test_an_effect_leaves_the_proposal_of_outliers_as_it_is(extend, effects):
     """Added to a model that has them it changes nothing at size zero, the particles' likelihood included."""
     model = extend(DRIVE)

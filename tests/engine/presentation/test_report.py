@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import engine
-from engine.data import nile
 from engine.data.series import Series
 from engine.diagnose import diagnose
 from engine.errors import OptionError
@@ -24,6 +23,7 @@ from engine.presentation.report.html import tag
 from engine.presentation.report.parts import measured, plus_minus, pretty
 from engine.presentation.report.svg import Axis, svg, svg_element
 from engine.simulation.simulate import simulate
+from tests.engine.clear_step import clear_flows
 
 EVIL = '<script>alert("1")</script>'
 VOID = {"meta"}
@@ -100,7 +100,8 @@ def test_diagnosis_in_one_file(diagnosis, tmp_path):
     text = page.text
     first = text[: text.index("1. What is wrong")]
     assert "named" in first
-    assert "Step of the reading flow (-258.2 ±" in first  # the verdict is understood from the top
+    size = diagnosis["causes"][0]["size"]  # the verdict is understood from the top
+    assert f"Step of the reading flow ({size:.1f} ±" in first
     assert "1899" in first
     assert diagnosis["over_horizon"]["sentence"] in text
     assert "Over the horizon" in text
@@ -243,7 +244,11 @@ def test_names_are_escaped(diagnosis):
     names = {"outputs": {EVIL: EVIL}, "linear": {f"{EVIL} of a state": "<b>"}, "reference": {}}
     evil = replace(LEVEL, description=EVIL, **names)
     found = diagnose(
-        evil, nile(), effects=["bias", "step", "ramp"], seed=1, theta={"q": 1500.0, "r": 15000.0}
+        evil,
+        clear_flows(),
+        effects=["bias", "step", "ramp"],
+        seed=1,
+        theta={"q": 1500.0, "r": 15000.0},
     ).to_dict()
     found["notes"].append(EVIL)
     page = check_alone(report_html(found, {EVIL: EVIL}))

@@ -60,6 +60,7 @@ def test_standard_errors_are_the_spread_where_residuals_are_white():
         assert 0.6 < stated / spread < 1.6  # 40 fits: the spread is known to 11 %
 
 
+@pytest.mark.slow
 def test_standard_errors_are_the_spread_where_residuals_are_correlated():
     """An oscillator that noise drives: taking its errors for white, errors were half the spread."""
     drawn = []

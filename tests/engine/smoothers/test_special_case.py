@@ -111,6 +111,7 @@ def switching() -> SpecialCase:
     return SpecialCase(model, sample, log_density)
 
 
+@pytest.mark.slow
 def test_switching_model_against_enumeration() -> None:
     """All 2^8 paths of the chain, a Kalman smoother for each: the exact answer."""
     case, rng, T = switching(), np.random.default_rng(5), 8

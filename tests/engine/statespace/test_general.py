@@ -162,6 +162,7 @@ def test_state_dependent_scales_enter_the_density() -> None:
     np.testing.assert_allclose(got, student.logpdf((0.3 - x[:, 0]) / scale, 4) - np.log(scale))
 
 
+@pytest.mark.slow
 def test_ps_em_finds_the_exact_estimate(linear_series: engine.Series) -> None:
     exact = engine.rts_em(scalar_linear.MODEL, linear_series, {"a": 0.5}, ["a"], 50)
     found = ps_em(
@@ -209,6 +210,7 @@ def test_one_em_step_is_the_mixed_models() -> None:
     assert (error < 0.02 * np.abs(one.mean(axis=0))).all()
 
 
+@pytest.mark.slow
 def test_heavy_tails_are_estimated() -> None:
     """Student-t measurement noise: nu and r move towards the truth, and the likelihood gains."""
     general, rng = growth.HEAVY, np.random.default_rng(11)

@@ -353,15 +353,15 @@ def test_a_crash_is_a_row(short, monkeypatch):
     assert set(found) == {"system", "level", "hidden", *runs.BLANK}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "run", "kinds"),
     [
         ("vehicle:wind@fine", 162, ["step", "parameter-step", "pulse"]),
-        pytest.param(
+        (
             "tanks:clip@ordinary",
             170,
             ["saturation-sensor", "overflow", "pulse", "step", "harmonic", "parameter-step"],
-            marks=pytest.mark.slow,
         ),
     ],
 )

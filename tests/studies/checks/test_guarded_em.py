@@ -82,6 +82,7 @@ def agrees(one, other, sigmas=4.0):
     return abs(one.mean() - other.mean()) < sigmas * error + 1e-12
 
 
+@pytest.mark.slow
 def test_without_a_check_the_draws_are_those_of_the_general_method():
     series, rng = data(20, 3), np.random.default_rng(4)
     compiled = passes(series, 0.0, 200, 5)

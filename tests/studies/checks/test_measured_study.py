@@ -130,6 +130,7 @@ def test_the_free_run_is_asked_of_the_base_where_the_likelihood_has_named_the_ca
     assert said["free run"]["p"] < found.free_run.alarm.p_value
 
 
+@pytest.mark.slow
 def test_a_criterion_that_is_silent_ends_with_the_base():
     data = _levels(nile(), {"effects": ["step"]})
     found = diagnose(data.model, data.train, **data.options)
@@ -144,6 +145,7 @@ def test_a_criterion_that_is_silent_ends_with_the_base():
     assert before == after > 1.2 * said["likelihood"]["errors"][part][1]
 
 
+@pytest.mark.slow
 def test_pysindy_names_a_cubic_spring_and_simulates_it(monkeypatch):
     pytest.importorskip("pysindy")
     _replace_nile(monkeypatch, _swings(-1.0))
@@ -157,6 +159,7 @@ def test_pysindy_names_a_cubic_spring_and_simulates_it(monkeypatch):
         assert said["errors"]["test"] < 0.3 * base
 
 
+@pytest.mark.slow
 def test_where_pysindy_finds_nothing_its_error_is_that_of_the_base(monkeypatch):
     pytest.importorskip("pysindy")
     _replace_nile(monkeypatch, _swings(0.0))
@@ -166,6 +169,7 @@ def test_where_pysindy_finds_nothing_its_error_is_that_of_the_base(monkeypatch):
     assert said["errors"] == json.loads(str(row["base"]))
 
 
+@pytest.mark.slow
 def test_a_term_that_the_model_cannot_take_is_left_out():
     data = _swings(-1.0)
     known = by_sindy.estimated(data)

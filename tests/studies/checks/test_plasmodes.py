@@ -121,6 +121,7 @@ def test_scores_count_words_for_the_truth_as_right() -> None:
     assert in_set(row)
 
 
+@pytest.mark.slow
 def test_a_record_that_may_be_shipped_gives_rows() -> None:
     there = cells("nile")
     names = [name for _, name, _ in there]
@@ -136,6 +137,7 @@ def test_a_record_that_may_be_shipped_gives_rows() -> None:
     assert row["note"] == ""
 
 
+@pytest.mark.slow
 def test_the_words_for_a_truth_hold_it() -> None:
     found = engine.diagnose(
         engine.get_model("local-level"), nile(), max_effects=1, effects=["step"]

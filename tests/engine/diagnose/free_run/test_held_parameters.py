@@ -19,6 +19,7 @@ TRUTH = {"Fc": 20.0, "offset": -3.4, "sigma_v": 1e-6, "sigma_load": 1e-3, "sigma
 HELD = ("gtau", "Fc", "offset")
 
 
+@pytest.mark.slow
 def test_two_parameters_held_at_zero_are_refitted_together(monkeypatch):
     """Of a drive whose friction and offset its user took for zero, beside which other effects fit as well."""
     t = 0.04 * np.arange(500)

@@ -52,6 +52,7 @@ def test_a_run_that_is_not_found_from_nothing_is_found_beside_another():
     )
 
 
+@pytest.mark.slow
 def test_what_an_effect_does_is_asked_beside_the_fit_s_own_run():
     series = _record(HIDDEN, STRONG)
     fit = fit_runs(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import engine
-from engine.data import nile
 from engine.data.series import Series
 from engine.diagnose.effects.free_function import free_function, hats, knots_of
 from engine.diagnose.effects.setting import Setting
@@ -18,6 +17,7 @@ from engine.diagnose.free_run_fits.folds import folds_of, losses
 from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.local_level import MODEL as LEVEL
+from tests.engine.clear_step import clear_flows
 from tests.engine.diagnose.free_run.test_other_models import DT, cart
 from tests.engine.plain_models import room
 
@@ -135,7 +135,7 @@ def test_a_signal_that_stands_still_has_no_curve():
 
 
 def test_the_curve_is_on_the_page_in_the_document_and_in_the_report(tmp_path):
-    plain = engine.diagnose(LEVEL, nile(), effects=["step"])
+    plain = engine.diagnose(LEVEL, clear_flows(), effects=["step"])
     missing = _missing(1.0, 0.0, 1.0)
     found = replace(plain, free_run=replace(plain.free_run, missing=missing))
     assert "Some function of position" in " ".join(str(found).split())

@@ -126,6 +126,7 @@ def test_nothing_that_counts_samples_is_looked_for():
     assert not [name for name in names if name.startswith(("delay:", "lag:"))]
 
 
+@pytest.mark.slow
 def test_longer_steps_are_worth_nothing_beside_noise_and_much_without():
     """One step ahead the same error of the steps is small or large beside what a sensor adds."""
     worth = []
