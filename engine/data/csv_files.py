@@ -216,8 +216,6 @@ def _are_values(cells: Sequence[str]) -> bool:
 
 
 def _nameless(column: int, file: str, line: int, hint: str) -> SeriesError:
-    if not hint and column == 0:  # as pandas writes a table with its index
-        hint = "; if it is the index of a table, name it, as t where it has the times"
     return SeriesError(f"{file}, line {line}: column {column + 1} has no name{hint}")
 
 

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from engine.arrays import Array
 
-JUMP = 10.0  # how many times as steep one side of a row is as the other sides are where it jumps there
+JUMP = (
+    10.0  # how many times as steep one side of a row is as the other sides are where it jumps there
+)
 
 
 def sides(thetas: Array, indices: NDArray[np.intp]) -> tuple[Array, Array, Array]:

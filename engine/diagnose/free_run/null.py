@@ -4,8 +4,9 @@ Where a model is wrong, process noise is fitted to what it misses from one sampl
 may be further off than this noise makes it, or in a way that an effect explains and noise does not. It may be
 far *nearer*, too: noise that adds up from sample to sample walks away from any record, whereas the error
 that it stands for comes back with the physics. So an error too small for the noise says as much as one too
-large. It must be so for the noise of the likelihood's own fit, and ``NEARER`` times so for the noise beside the
-parameters of the free run, which bend it towards the record and make this noise larger.
+large. It must be so for the noise of the likelihood's own fit and for the noise beside the parameters of the
+free run. These bend it towards the record and make this noise larger, so it must be ``NEARER`` times so; or
+series are simulated and refitted, which asks how near a run can be bent (:mod:`.refitted`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.diagnose.free_run.refitted import as_near, can_refit
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.free_run_fits.folds import Folds
 from engine.diagnose.free_run_fits.linear import Linear
@@ -33,7 +35,8 @@ class Alarm:
     ``p_gain`` of the held-out gain of the best effects, ``p_size`` of so large an error beside what parameters
     and first states take up, ``p_near`` of so small a one; ``rms`` is that error, ``rms_noise`` what noise
     makes of it (median), in the weighed unit of the residuals; ``gain`` the held-out gain, log(mean squared
-    error without / with). They are of so many ``series``.
+    error without / with). They are of so many ``series``, ``p_near`` of so many ``refits`` where
+    there were any.
     """
 
     p_gain: float
@@ -43,6 +46,7 @@ class Alarm:
     rms_noise: float
     gain: float
     series: int = SERIES
+    refits: int = 0
 
     @property
     def p_value(self) -> float:
@@ -52,7 +56,8 @@ class Alarm:
     @property
     def at_floor(self) -> bool:
         """Whether ``p_value`` is the least that so many series can give: none of them reached the record."""
-        return min(self.p_gain, self.p_size, self.p_near) == _p_value(0, self.series)
+        least, n = min(self.p_gain, self.p_size, self.p_near), self.series
+        return least == _p_value(0, (self.refits or n) if least == self.p_near else n)
 
     @property
     def probability(self) -> str:
@@ -86,15 +91,18 @@ def alarm(
     sizes = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
     p_gain = _p_value(int((linear.held_out_gains(E, folds) >= gain).sum()) + away, n)
     p_size = _p_value(int((sizes >= rms).sum()) + away, n)
-    p_near = 1.0
-    if ahead is not None:
-        p_near = _p_value(int((sizes <= NEARER * rms).sum()), n)
-        if 3.0 * p_near <= LOOKED_AT:
-            E = noise_runs(fit, _with_noise_of(fit, ahead), n, seed)
-            E = E[:, np.isfinite(E).all(axis=0)]  # what runs away is not small
-            own = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
-            p_near = max(p_near, _p_value(int((own <= rms).sum()), n))
-    return Alarm(p_gain, p_size, p_near, rms, float(np.median(sizes)), gain, n)
+    p_near, refits = 1.0, 0
+    if ahead is not None and 3.0 * _p_value(int((sizes <= rms).sum()), n) <= LOOKED_AT:
+        E = noise_runs(fit, _with_noise_of(fit, ahead), n, seed)
+        E = E[:, np.isfinite(E).all(axis=0)]  # what runs away is not small
+        own = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
+        p_own = _p_value(int((own <= rms).sum()), n)
+        p_near = max(p_own, _p_value(int((sizes <= NEARER * rms).sum()), n))
+        fewest = int(np.ceil(3.0 / level)) - 1
+        if 3.0 * min(p_gain, p_size, p_near) > level >= 3.0 * p_own and can_refit(fit, fewest):
+            refits = fewest
+            p_near = max(p_own, _p_value(as_near(fit, ahead, refits, level / 3.0, seed), refits))
+    return Alarm(p_gain, p_size, p_near, rms, float(np.median(sizes)), gain, n, refits)
 
 
 def _with_noise_of(fit: Fitted, ahead: ThetaLike) -> Array:

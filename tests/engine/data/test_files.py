@@ -670,6 +670,8 @@ def test_columns_between_blanks(tmp_path):
     assert one.y.shape == (2, 1)
 
 
-def test_the_index_of_a_table_has_no_name(tmp_path):
-    with pytest.raises(SeriesError, match="column 1 has no name; if it is the index of a table"):
-        read_series(of(tmp_path, ",y\n0,1\n3600,2\n"))
+def test_the_index_of_a_table_may_hold_the_times(tmp_path):
+    path = of(tmp_path, ",y\n0,1\n3600,2\n7200,2\n")
+    with pytest.warns(ReadingWarning, match="as 'column 1' counts up evenly, give t='column 1'"):
+        assert read_series(path, y=["y"]).dt == 1.0
+    assert read_series(path, y=["y"], t="column 1").dt == 3600.0

@@ -139,7 +139,9 @@ def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, v
     refits = []
     for name in ("drag:speed", "cubic:speed"):
         effect = make_effect(name, Setting(DRIVE))
-        fit = SimpleNamespace(theta={p.name: 0.5 for p in effect.parameters}, given_up=False)
+        fit = SimpleNamespace(
+            theta={p.name: 0.5 for p in effect.parameters}, given_up=False, free=()
+        )
         refits.append(
             SimpleNamespace(
                 effect=effect, fit=fit, size=0.5, standard_error=0.1, gain=50.0, score=50.0

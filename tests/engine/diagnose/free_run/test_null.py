@@ -6,6 +6,7 @@ import pytest
 import engine
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.null import SERIES, Alarm, alarm
+from engine.diagnose.free_run.refitted import as_near
 from engine.diagnose.free_run_fits.candidates import candidates, fit_of
 from engine.diagnose.free_run_fits.columns import columns
 from engine.diagnose.free_run_fits.folds import folds_of
@@ -58,3 +59,28 @@ def test_three_questions_share_the_error():
     assert Alarm(0.5, 0.2, 0.004, 1.0, 2.0, 0.0).p_value == pytest.approx(0.012)
     assert Alarm(0.5, 0.9, 0.8, 1.0, 2.0, 0.0).p_value == 1.0
     assert 3.0 * LEAST <= 0.01  # the level where the likelihood has an answer can be reached
+
+
+@pytest.mark.parametrize(("times", "small"), [(1.0, False), (5.0, True)])
+def test_how_near_free_runs_can_be_bent_is_asked_by_refits(clean, times, small):
+    """Noise that is five times too large is refuted by refits of what it makes, and by no projection."""
+    linear, folds = clean
+    fitted = np.asarray(linear.fit.theta).copy()
+    for name in NOISE:
+        fitted[MODEL.parameter_names.index(name)] = NOISE[name]
+    fitted[MODEL.parameter_names.index("sigma_v")] *= times
+    own = linear.fit.model.theta(fitted)
+    seen = alarm(linear, fitted, folds, 1, own, level=0.05)
+    assert (seen.p_value <= 0.05) == small
+    assert (seen.refits > 0) == small == seen.at_floor
+    assert alarm(linear, fitted, folds, 1, own, level=0.01).refits == 0  # that would take too many
+
+
+def test_refits_that_come_as_near_are_counted_until_they_decide(clean):
+    linear, _ = clean
+    theta = np.asarray(linear.fit.theta).copy()
+    for name in NOISE:
+        theta[MODEL.parameter_names.index(name)] = 0.1 * NOISE[name]
+    own = linear.fit.model.theta(theta)
+    assert as_near(linear.fit, own, 20, 0.2, 0) == 4  # of five, 4 + 1 being more than 0.2 of 21
+    assert as_near(linear.fit, own, 3, 1.0, 0) == 3
