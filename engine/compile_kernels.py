@@ -17,6 +17,7 @@ in which all models call it; no signature is written down here that could fall o
 from __future__ import annotations
 
 import importlib
+import multiprocessing
 import pkgutil
 import time
 from collections.abc import Iterator
@@ -47,7 +48,7 @@ from engine.simulation.whole_record import SHORTEST
 from engine.smoothers.linear_cost import rb_ffbsi_linear
 from engine.statespace.continuous import continuous
 from engine.statespace.discretization import discretize
-from engine.statespace.model import Gaussian
+from engine.statespace.model import Gaussian, MixedModel
 
 
 def compiled_kernels() -> dict[str, set[Any]]:
@@ -57,6 +58,13 @@ def compiled_kernels() -> dict[str, set[Any]]:
 
 def warm() -> dict[str, set[Any]]:
     """Call every kernel that estimations use; return :func:`compiled_kernels` afterwards."""
+    of_particles()
+    of_moments_and_runs()
+    return compiled_kernels()
+
+
+def of_particles() -> None:
+    """The kernels of particle filters and smoothers, about half of the time."""
     rng = np.random.default_rng(0)
     model = get_model("mixed-4")
     series, free = simulate(model, None, 8, rng).series, model.parameter_names[0]
@@ -65,8 +73,15 @@ def warm() -> dict[str, set[Any]]:
         rbps_em(model, series, free=[free], n_particles=4, n_iterations=1, smoother=smoother)
     for resampling in RESAMPLING:
         rbpf(model, None, series, 4, rng, "bootstrap", resampling, 1.0)
-    walk = get_model("linear-2")
-    short = simulate(walk, None, 8, rng).series
+    walk, short = _walk(rng)
+    prediction_pit(rbpf(walk, None, short, 4, rng), rng)
+    rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
+
+
+def of_moments_and_runs() -> None:
+    """Those of the moment filter, of free runs and of the design of experiments."""
+    rng = np.random.default_rng(0)
+    walk, short = _walk(rng)
     rts_em(walk, short, n_iterations=1)
     quasi_ml(walk, short)
     followed(FilterSteps(walk, Thetas(walk, np.asarray(walk.theta())), short))
@@ -75,8 +90,6 @@ def warm() -> dict[str, set[Any]]:
     path = moment_path(walk, walk.theta(), short)
     T, nx, ny = len(short), walk.nx, walk.ny
     footprints(path.F, path.H, path.K, np.zeros((T - 1, nx)), np.zeros((T, ny)), np.ones((T, 1)))
-    prediction_pit(rbpf(walk, None, short, 4, rng), rng)
-    rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
     tanks = get_model("tanks")
     measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]], n_starts=1)
@@ -99,7 +112,12 @@ def warm() -> dict[str, set[Any]]:
     one = np.arange(1)
     best_pairs(np.ones((1, 1)), np.zeros((1, 1)), one, one, np.ones(1, dtype=bool))
     design_kernels()
-    return compiled_kernels()
+
+
+def _walk(rng: np.random.Generator) -> tuple[MixedModel, Series]:
+    """A linear model and a short series of it."""
+    walk = get_model("linear-2")
+    return walk, simulate(walk, None, 8, rng).series
 
 
 def design_kernels() -> None:
@@ -122,7 +140,11 @@ def _kernels() -> Iterator[tuple[str, Any]]:
 def main() -> None:
     """Warm the cache and say how long it took."""
     started = time.perf_counter()
-    warm()
+    other = multiprocessing.get_context("spawn").Process(target=of_moments_and_runs)
+    other.start()  # on a second core, where there is one
+    of_particles()
+    other.join()
+    warm()  # which loads them all, and compiles what the other process could not
     print(f"All kernels ready in {time.perf_counter() - started:.1f} s")
 
 
