@@ -36,9 +36,15 @@ class Clip:
         both = [(zero + setting.distance(channel, share), 0.0) for share in SHARES]
         if not lowest < zero < highest:
             both = []  # it has no second side
+        probes = [(*one, *origin.probe) for one in both]
+        if origin.name is not None and both:
+            # what clips on both sides ends at both limits, wherever it is most of the time
+            middle, half = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
+            probes += [(middle + share * half, 0.0, middle) for share in SHARES[1:]]
         above = [(setting.quantile(channel, share), 1.0) for share in SHARES[1:]]
         below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in SHARES[1:]]
-        members = origin.counted(*own, probes=(*both, *above, *below))
+        probes += [(*one, *origin.probe) for one in (*above, *below)]
+        members = origin.counted(*own) | {"probes": tuple(probes)}
         # of an :class:`Effect` whose size is the share of the excess that is lost
         self.members = {**members, "held": (f"{name}_side", *members["held"])}
 

@@ -330,6 +330,8 @@ def _from_elsewhere(effect: Effect, start: Array, further: Array | None, n: int)
     if effect.from_elsewhere(start[n + 1 :]):
         middle, seen = effect.probes[0][-1], start[-1]
         for probe in effect.probes[1:]:
+            if probe[-1] == middle:  # of an effect that has other things to probe, too
+                continue
             one = start.copy()
             one[n], one[-1] = start[n] * (middle - seen) / (middle - probe[-1]), probe[-1]
             out.append(one)
