@@ -22,6 +22,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import engine.data
+from engine.data.files import READERS
 from engine.presentation.report import RULES
 from service.responses import OUTCOMES, Kind, Status
 
@@ -114,6 +115,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["version"] = version("rbps")
+    made.globals["data_endings"] = ",".join(READERS)
     return made
 
 

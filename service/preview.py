@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.data.clock import times_in, times_of
-from engine.data.files import READERS
+from engine.data.files import ENDINGS, READERS
 from engine.data.stamps import candidates, counts, holds_dates
 from engine.data.table import Table
 from engine.errors import SeriesError
@@ -61,7 +61,7 @@ def _read(data: bytes, filename: str, max_values: int) -> Table:
     suffix = Path(filename).suffix.lower()
     if suffix not in READERS:
         sheet = "; a spreadsheet can be saved as CSV" if suffix in (".xls", ".xlsx", ".ods") else ""
-        raise invalid("file", f"must be a .csv, .mat or .npz file, not '{filename}'{sheet}")
+        raise invalid("file", f"'{filename}': {ENDINGS}{sheet}")
     check_size(data, filename, "file", max_values)
     try:
         return READERS[suffix](data, Path(filename).name)

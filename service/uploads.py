@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import struct
 import zipfile
 import zlib
@@ -16,7 +17,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from engine.data.channels import check_units
-from engine.data.files import read_table, series_from
+from engine.data.files import TEXT, read_table, series_from
 from engine.data.table import Table
 from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
@@ -27,6 +28,7 @@ from service.problems import Problem, invalid
 from service.schemas import LONGEST_NOTE, MOST_NOTES, Hold, ModelReference, Request, TimeUnit
 from service.validation import ADAPTER, find_model
 
+BLANKS = re.compile(rb" +(?=[^\s])")  # between cells that nothing else parts
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
 ADVICE = ('"dt": STEP', '"t": "{}"')  # members of an entry of ``series``
 
@@ -248,8 +250,9 @@ def _given(
 
 def check_size(data: bytes, filename: str, where: str, max_values: int) -> None:
     """Refuse a file of more numbers than a job may hold, before anything is made of them."""
-    if Path(filename).suffix.lower() in (".csv", ".txt"):
-        cells = sum(map(data.count, (b"\n", b"\r", b",", b";", b"\t")))
+    if Path(filename).suffix.lower() in TEXT:
+        parted = sum(map(data.count, (b",", b";", b"\t"))) or sum(1 for _ in BLANKS.finditer(data))
+        cells = parted + data.count(b"\n") + data.count(b"\r")
         if cells > max_values:
             raise invalid(where, f"'{filename}' has more than the {max_values} cells allowed here")
         return

@@ -32,7 +32,8 @@ _TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mar
 def read_csv(data: bytes, file: str) -> Table:
     """A CSV with one header line; delimiter comma, semicolon, tab or blanks; leading # lines skipped.
 
-    Where commas do not part cells they may be those of decimals. Units may have a second line of their own.
+    Where commas do not part cells they may be those of decimals. Units may have a second line of their own, and
+    the header may be the last of the # lines.
     """
     wide = data.startswith((BOM_UTF16_LE, BOM_UTF16_BE))  # as Excel's "Unicode text" does
     try:
@@ -66,6 +67,9 @@ def read_csv(data: bytes, file: str) -> Table:
         first += 1
         if first >= last:
             raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    elif first and (names_of := _commented(lines[first - 1], lines[first])):
+        first -= 1
+        lines[first] = names_of
     delimiter = told[1] if told else _delimiter(lines[first:last])
     if not told and delimiter == "," and _in_blanks(lines[first:last]):
         lines[first:last] = ["\t".join(line.split()) for line in lines[first:last]]
@@ -130,6 +134,20 @@ def _delimiter(lines: Sequence[str]) -> str:
 
     best = max(DELIMITERS, key=agreeing)
     return best if agreeing(best) else ","
+
+
+def _commented(above: str, first: str) -> str:
+    """The names where a comment above the first row has them, as ``numpy.savetxt`` writes; else empty."""
+    names = above.removeprefix("#").strip()
+    if HOLD.fullmatch(above.strip()) or TIME_UNIT.fullmatch(above.strip()):
+        return ""
+    for parted in (None, *DELIMITERS):
+        row = first.split(parted)
+        if len(row) > 1 and all(is_number(_pointed(cell.strip())) for cell in row):
+            told = names.split(parted)
+            if len(told) == len(row) and _are_names(told):
+                return names
+    return ""
 
 
 def _in_blanks(lines: Sequence[str]) -> bool:
@@ -220,7 +238,8 @@ def _nameless(column: int, file: str, line: int, hint: str) -> SeriesError:
 
 
 def _check_header(names: list[str], file: str, line: int, hint: str) -> None:
-    if all(is_number(name) for name in names if name) and any(names):
+    words = " ".join(names).split()  # blanks may part them
+    if words and all(map(is_number, words)):
         raise SeriesError(
             f"{file}, line {line}: the first line holds numbers; it must name the columns, "
             "like t,u,y"

@@ -1,4 +1,4 @@
-"""Series in and out of files: .csv, .mat (version 4 to 7) and .npz.
+"""Series in and out of files: .csv (or .txt, .tsv, .dat and other text), .mat (version 4 to 7) and .npz.
 
 Which columns are which channels:
 
@@ -54,7 +54,9 @@ from engine.words import enumerated
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
 
-READERS = {".csv": read_csv, ".txt": read_csv, ".mat": read_mat, ".npz": read_npz}
+TEXT = (".csv", ".txt", ".tsv", ".tab", ".dat", ".data", ".asc", ".prn", ".out")
+READERS = {**dict.fromkeys(TEXT, read_csv), ".mat": read_mat, ".npz": read_npz}
+ENDINGS = "the ending must be .csv, .mat or .npz (of text also .txt, .tsv or .dat)"
 
 
 def read_series(
@@ -95,7 +97,7 @@ def read_table(data: bytes, filename: str) -> Table:
     """The columns of a file; the name's ending tells the format. Raises SeriesError."""
     suffix, file = Path(filename).suffix.lower(), Path(filename).name
     if suffix not in READERS:
-        raise SeriesError(f"{file}: the ending must be .csv, .mat or .npz, not '{suffix}'")
+        raise SeriesError(f"{file}: {ENDINGS}, not '{suffix}'")
     return READERS[suffix](data, file)
 
 

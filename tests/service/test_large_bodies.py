@@ -128,6 +128,7 @@ def test_files_of_more_numbers_than_a_job_may_hold(client, make_client):
     for served, name, data in (
         (client, "a.csv", b"y\n" + b"1\n" * 1_100_000),
         (small, "a.csv", b"y;x\n" + b"1;2\n" * 600),
+        (small, "a.dat", b"y x\n" + b"1   2\n" * 600),
     ):
         for path, more in (("/jobs/upload", {"request": request}), ("/preview", {})):
             answer = served.post(path, data=more, files={"file": (name, data)})

@@ -675,3 +675,19 @@ def test_the_index_of_a_table_may_hold_the_times(tmp_path):
     with pytest.warns(ReadingWarning, match="as 'column 1' counts up evenly, give t='column 1'"):
         assert read_series(path, y=["y"]).dt == 1.0
     assert read_series(path, y=["y"], t="column 1").dt == 3600.0
+
+
+@pytest.mark.parametrize("ending", [".dat", ".tsv", ".txt", ".out", ".PRN"])
+@pytest.mark.parametrize("delimiter", [" ", "\t", ",", ";"])
+def test_names_in_a_comment(tmp_path, ending, delimiter):
+    """As ``numpy.savetxt`` writes a header."""
+    path, rows = tmp_path / f"run{ending}", np.arange(12.0).reshape(4, 3)
+    np.savetxt(path, rows, delimiter=delimiter, header=delimiter.join(("t", "u", "y")))
+    series = read_series(path)
+    np.testing.assert_array_equal(np.column_stack([series.t, series.u, series.y]), rows)
+
+
+def test_comments_that_name_no_columns():
+    for comment in (b"# hold: foh", b"# three words here and more", b"# 1 2 3", b"# t u u", b"#"):
+        with pytest.raises(SeriesError, match="the first line holds numbers"):
+            read_series_bytes(comment + b"\n0 1 2\n3 4 5\n", "a.txt")
