@@ -20,6 +20,7 @@ from engine.words import digits, enumerated, estimate, moment, number, with_unit
 
 SAMPLES = "samples"  # the unit of a delay
 
+UNTESTABLE = "the data do not excite them, or the fitted parameters take up all they would show"
 NOTHING_ADDED = "Nothing was added, so nothing is gained or lost."
 
 SMALLEST = (
@@ -54,7 +55,7 @@ def headline(cause: Cause, step: float | None = None, clock: str = SECOND) -> st
     return (
         f"{name} [{cause.effect}]: {sized(cause)}{late(cause, step, clock)}{when(cause, step)}, "
         f"{cause.probability}{' when it was found' if cause.beside else ''}, "
-        f"2 x log-likelihood gained {gained(cause.gain)}"
+        f"{_log_likelihood(cause.gain)}"
         f"{with_others(cause.together, cause.beside)}"
     )
 
@@ -71,6 +72,12 @@ def sized(cause: Cause) -> str:
     if cause.amplitude is not None:
         return f"amplitude {estimate(cause.amplitude, cause.amplitude_error, cause.unit)}"
     return estimate(cause.size, cause.standard_error, cause.unit)
+
+
+def _log_likelihood(gain: float) -> str:
+    if gain > 0.0:
+        return f"2 x log-likelihood gained {gained(gain)}"
+    return "seen in free run alone, as predictions one step ahead gain nothing"
 
 
 def gained(gain: float | None) -> str:

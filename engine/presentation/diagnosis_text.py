@@ -17,6 +17,7 @@ from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import (
     NOTHING_ADDED,
     SMALLEST,
+    UNTESTABLE,
     experiment,
     gained,
     headline,
@@ -315,7 +316,8 @@ def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
         names = [x.effect for x in no]
         some = names if every else asked_first(names)
         more = f" and {len(no) - len(some)} more" if len(some) < len(no) else ""
-        yield from _wrapped(f"Not testable with this experiment: {', '.join(some)}{more}.", "  ")
+        named = f"{', '.join(some)}{more}"
+        yield from _wrapped(f"Not testable with this experiment: {named}; {UNTESTABLE}.", "  ")
 
 
 def _notes(d: Diagnosis) -> Iterator[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from engine.diagnose.search.findings import LookAlike
 from engine.presentation import over_horizon
-from engine.presentation.cause_sentences import gained, standing, with_others
+from engine.presentation.cause_sentences import UNTESTABLE, gained, standing, with_others
 from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.comparison import TIME, around
 from engine.presentation.report.html import Html, table, table_of, tag
@@ -62,11 +62,10 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
         first = asked_first(untestable)
         rest = len(untestable) - len(first)
         more = f" and {rest} more" if rest else ""
-        why = "the data do not excite them, or the fitted parameters take up all they would show."
         every = tag("p", ", ".join(untestable)) if rest else Html("")
         parts += [
             tag("h3", "Not testable with this experiment"),
-            tag("p", f"{', '.join(first)}{more}: {why}"),
+            tag("p", f"{', '.join(first)}{more}: {UNTESTABLE}."),
             folded("All that were not testable", every),
         ]
     return parts

@@ -274,7 +274,7 @@ def test_names_that_say_the_same_and_those_not_ruled_out_are_told_apart():
 def test_a_headline_has_no_negative_gain():
     """The free run may name what gains nothing one step ahead."""
     assert headline(cause(("linear:air",))).endswith("gained 40")
-    assert headline(replace(cause(("linear:air",)), gain=-3.28)).endswith("gained none")
+    assert headline(replace(cause(("linear:air",)), gain=-3.28)).endswith("gain nothing")
 
 
 def test_what_the_data_say_of_others_is_no_more_than_they_do():
