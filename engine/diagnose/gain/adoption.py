@@ -1,8 +1,9 @@
 """Whether held-out data call for an extension, and why, in words.
 
-The data that an extension was chosen on cannot speak for it a second time. It is adopted where data
-that it has not seen show that it does better, one step ahead or in the free run of an output, and where
-they show no significant loss in either. Without such evidence the cause is named and the model stays.
+The data that an extension was chosen on cannot speak for it a second time. It is adopted where data that it
+has not seen show that it does better, one step ahead or in the free run of an output, and where they show no
+significant loss in either; nor, where it is for one free run alone, any loss in both. Without such evidence
+the cause is named and the model stays.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ def decide(
     better, worse = runs_changed(outputs)
     if lost or worse or _predicts_worse(p_loss, log_density):
         return Decision.LOSES
-    return Decision.ADOPTED if p_gain <= TEST_LEVEL or better else Decision.NO_EVIDENCE
+    adopted = p_gain <= TEST_LEVEL or (better and not _set_back(log_density, outputs))
+    return Decision.ADOPTED if adopted else Decision.NO_EVIDENCE
 
 
 def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
@@ -94,6 +96,18 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
 def _predicts_worse(p_loss: float, log_density: float) -> bool:
     """Whether the predictions one step ahead are significantly worse."""
     return p_loss < TEST_LEVEL and log_density < -LOSS_NATS
+
+
+def _set_back(log_density: float, outputs: Sequence[OutputGain]) -> list[OutputGain]:
+    """Outputs whose free run is further off, surely or not, where the predictions are not better either.
+
+    What one sensor gains tells little beside them: an extension may bend one free run at the cost of others.
+    """
+    if not log_density < -LOSS_NATS:
+        return []
+    better = runs_changed(outputs)[0]
+    further = [o for o in outputs if o.difference > RUN_SHARE * o.rmse_before and not ran_away(o)]
+    return [o for o in further if o not in better and _tells(o)]
 
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
@@ -154,9 +168,13 @@ def in_full(gain: Gain, named: bool = True) -> str:
                 f"Not adopted for want of evidence: {gain.samples} rows are held out, and fewer than "
                 f"{FEWEST_ROWS} tell nothing. Give more of them (held_out=), or other records (test=)."
             )
+        runs = "no free run is significantly better"
+        if better := runs_changed(gain.outputs)[0]:
+            back = _names(_set_back(gain.log_density, gain.outputs))
+            runs = f"its free run of {_names(better)} is better but that of {back} is worse"
         return (
             "Not adopted for want of evidence: on data that it has not seen, "
-            f"{_one_step(gain)}, and no free run is significantly better."
+            f"{_one_step(gain)}, and {runs}."
         )
     predicts = gain.p_value <= TEST_LEVEL
     reasons = [f"one step ahead ({probability(gain.p_value)})"] if predicts else []

@@ -141,6 +141,7 @@ SAME, HARDLY = output("z", 1.0, 0.9, -0.3, 0.1), output("w", 1.0, 0.999, -0.002,
 USELESS = output("v", 1.0, 1.1, 0.02, 0.18, fit=1.0)  # no better than a constant before
 HARMED = output("s", 1.0, 1.5, 0.2, 0.8, fit=1.0)
 USEFUL = output("r", 1.0, 1.1, 0.02, 0.18)
+FURTHER = output("q", 1.0, 1.1, -0.05, 0.25)  # within chance
 
 
 @pytest.mark.parametrize(
@@ -162,6 +163,10 @@ USEFUL = output("r", 1.0, 1.1, 0.02, 0.18)
         (0.99, -1.01, (), Decision.LOSES),
         (0.99, -0.99, (), Decision.NO_EVIDENCE),  # a sure loss below a likelihood ratio of e
         (0.94, -50.0, (), Decision.NO_EVIDENCE),
+        (0.9, -50.0, (BETTER, SAME), Decision.ADOPTED),
+        (0.9, -50.0, (BETTER, FURTHER), Decision.NO_EVIDENCE),
+        (0.9, -0.5, (BETTER, FURTHER), Decision.ADOPTED),
+        (0.01, 5.0, (BETTER, FURTHER), Decision.ADOPTED),
     ],
 )
 def test_adoption_needs_evidence_and_no_loss(p_gain, log_density, outputs, decision):
@@ -232,6 +237,9 @@ def test_the_reason_names_what_decided():
     assert "its loss one step ahead is within chance (p = 0.4)" in said(0.6, -0.2, ())
     assert "its gain one step ahead is within chance (p = 0.3)" in said(0.3, 2.0, ())
     assert "lower by 67" in said(0.99, -67.0, ())
+    assert "its free run of x is better but that of q is worse" in said(
+        0.9, -50.0, (BETTER, FURTHER)
+    )
     aside = said(0.001, 20.0, (USELESS,))
     assert aside.startswith("Adopted")
     assert "free run of v is wrong by 1.1 m rms instead of 1, but it was hardly better" in aside
