@@ -35,6 +35,7 @@ from engine.filters.heavy_tails import with_mixture
 from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
 from engine.filters.sigma_point import moment_filter, moment_path
+from engine.filters.taped import SHORTEST as SHORTEST_ON_TAPE
 from engine.kernels.excitation import within_bounds
 from engine.kernels.pairs import best_pairs
 from engine.kernels.sensitivities import footprints
@@ -84,6 +85,7 @@ def of_moments_and_runs() -> None:
     walk, short = _walk(rng)
     rts_em(walk, short, n_iterations=1)
     quasi_ml(walk, short)
+    moment_filter(walk, np.asarray(walk.theta())[None], Series(np.zeros(SHORTEST_ON_TAPE)))
     followed(FilterSteps(walk, Thetas(walk, np.asarray(walk.theta())), short))
     level = with_mixture(get_model("local-level"))
     moment_filter(level, np.asarray(level.theta())[None], short)

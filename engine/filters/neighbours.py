@@ -32,6 +32,7 @@ from engine.filters.sigma_point import (
     MomentPath,
     moment_filter,
     run_filter,
+    run_on_tape,
     usable,
 )
 from engine.kernels.moments import sigma_points
@@ -89,8 +90,12 @@ def filter_neighbours(
 
     ``visited``, by a filter of this model and series at another theta, is brought up to date.
     """
+    if model.random_scales:
+        return moment_filter(model, thetas, series)
     run = FilterSteps(model, Thetas(model, thetas), series)
-    if model.random_scales or not _worth_it(run, visited):
+    if (taped := run_on_tape(run)) is not None:
+        return taped
+    if not _worth_it(run, visited):
         return moment_filter(model, thetas, series)
     found = followed(run, visited)
     return moment_filter(model, thetas, series) if found is None else found
@@ -109,6 +114,8 @@ def filter_all(
     if model.random_scales:
         return moment_filter(model, thetas, series)
     run = FilterSteps(model, Thetas(model, thetas), series)
+    if (taped := run_on_tape(run)) is not None:
+        return taped
     if model.na == 0:
         found = followed(run)
         return moment_filter(model, thetas, series) if found is None else found

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.filters.strata import StrataSteps, filter_in_strata, path_in_strata
+from engine.filters.taped import filter_by_tape
 from engine.kernels.gaussian import psd_cholesky_many
 from engine.kernels.moments import gaussian_update, observe, predict, sigma_points, slopes
 from engine.statespace.model import Array, MixedModel
@@ -88,12 +89,25 @@ def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFil
     return run_filter(FilterSteps(model, run, series))
 
 
+def run_on_tape(
+    run: FilterSteps, visited: tuple[Array, Array] | None = None
+) -> MomentFiltered | None:
+    """:func:`run_filter` in one call of a kernel; None where the model's functions must be called."""
+    found = filter_by_tape(run, visited)
+    if found is None:
+        return None
+    innovations, S, terms = found
+    return MomentFiltered(innovations, S, usable(terms, innovations, S, run.series))
+
+
 def run_filter(run: FilterSteps, visited: tuple[Array, Array] | None = None) -> MomentFiltered:
     """All steps of the filter; ``visited``, each (T, S, na), are filled with the points of the first copy.
 
     With those at which y_t, and those at which x_{t+1} is predicted.
     """
     model, series = run.model, run.series
+    if (taped := run_on_tape(run, visited)) is not None:
+        return taped
     T, K, ny = len(series), run.thetas.K, model.ny
     innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
     m, P = run.start()

@@ -32,8 +32,10 @@ from engine.kernels.local_linearization import beside, difference_quotients, ste
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.reads import loops, reads
 from engine.statespace.recorded import Recorded
+from engine.statespace.recorded.stand_ins import Within, traceable
 from engine.statespace.rows import frozen, is_rows
 from engine.statespace.shapes import as_matrix, as_rows, is_symmetric, stacked
+from engine.statespace.traced_step import TracedStep
 
 Drift: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any]]
 Matrix: TypeAlias = Callable[[Array, Any, Any, Any], Any]
@@ -204,6 +206,14 @@ class _Discretized:
             jacobian=None if J is None else Recorded(J, ((nx, self.na),), several=False),
             repeated=_Repeated(),
         )
+
+    @cached_property
+    def traced(self) -> TracedStep:
+        """The same for one row of numbers that are being recorded."""
+        seen = Within()
+        drift, diffusion = traceable(self.drift, seen), traceable(self.diffusion, seen)
+        jacobian = None if self.jacobian is None else traceable(self.jacobian, seen)
+        return TracedStep(drift, diffusion, jacobian, self.sizes, self.nz)
 
     def reads_argument(self, position: int) -> bool:
         """Of a, u and t what any of its functions reads; the others it reads itself."""

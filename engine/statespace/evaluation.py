@@ -45,6 +45,9 @@ from engine.statespace.compare import Result, copies, differ, joined, sizes_of
 from engine.statespace.plan import Plan, plan_of
 from engine.statespace.reads import loops, reads
 from engine.statespace.recorded import NotByRowsError, by_rows
+from engine.statespace.recorded.arrays import TracedArray
+from engine.statespace.recorded.program import traced_results
+from engine.statespace.recorded.stand_ins import Within, traceable
 from engine.statespace.refutation import (
     calls_split,
     count_refutation,
@@ -95,6 +98,8 @@ class ModelFunction:
         bounds: tuple[Array, Array],
     ) -> None:
         self._trusted = getattr(function, "hands_rows_on", False)
+        self._function, self.shapes = function, shapes
+        self._looked_into: Any = None  # the function for numbers that are being recorded
         self._regular = regular(function)
         self._bounds, self._trial = bounds, Trial(self._regular, bounds)
         self._program = by_rows(function, shapes)
@@ -114,6 +119,8 @@ class ModelFunction:
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """The function's results for all rows. Raises ModelError naming function, time and shapes."""
+        if a.__class__ is TracedArray:
+            return self._traced(a, u, t, dt, theta)
         if self._trusted:
             return self._handed_on(a, u, t, dt, theta)
         kind, verdict = self._kind, self._verdict
@@ -132,6 +139,16 @@ class ModelFunction:
         if kind is not None and not verdict.takes:
             return self._theta_by_theta(a, u, t, dt, theta, kind)
         return self._as_before(a, u, t, dt, theta, kind, verdict)
+
+    def _traced(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
+        """What it does to one row of numbers that are being recorded."""
+        if self._looked_into is None:
+            own = getattr(self._function, "traced", None)
+            self._looked_into = traceable(self._function, Within()) if own is None else own
+        step = (dt,) if self.name == "dynamics" else ()
+        found = self._looked_into(a, u, t, *step, theta)
+        results: Result = traced_results(found, self.shapes)
+        return results
 
     def _as_before(
         self,

@@ -169,9 +169,9 @@ def in_full(gain: Gain, named: bool = True) -> str:
                 f"{FEWEST_ROWS} tell nothing. Give more of them (held_out=), or other records (test=)."
             )
         runs = "no free run is significantly better"
-        if better := runs_changed(gain.outputs)[0]:
+        if gained := runs_changed(gain.outputs)[0]:
             back = _names(_set_back(gain.log_density, gain.outputs))
-            runs = f"its free run of {_names(better)} is better but that of {back} is worse"
+            runs = f"its free run of {_names(gained)} is better but that of {back} is worse"
         return (
             "Not adopted for want of evidence: on data that it has not seen, "
             f"{_one_step(gain)}, and {runs}."

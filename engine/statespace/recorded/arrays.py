@@ -167,11 +167,12 @@ by_entries: dict[Any, Callable[..., Any]] = {}
 def record_arrays(function: Callable[..., Any], arrays: Sequence[Any]) -> tuple[TracedArray, ...]:
     """A function of whole arrays, which returns several and takes leading axes for the rows."""
     whole = record(OfArrays(function, [np.shape(x) for x in arrays]), _entries(arrays))
-    out = []
+    out, place = [], -1
     for k, result in enumerate(whole.value):
         each = np.empty(result.shape, dtype=object)
         for at in np.ndindex(*result.shape):
-            each[at] = record(_Entry(k, at), (whole,))
+            place += 1
+            each[at] = record(Entry(k, at, place), (whole,))
         out.append(each.view(TracedArray))
     return tuple(out)
 
@@ -200,13 +201,14 @@ class OfArrays:
         return self.function(*arrays)
 
 
-class _Entry:
-    """One entry of the k-th of several arrays (..., r, c)."""
+class Entry:
+    """One entry of the k-th of several arrays (..., r, c), in its ``place`` among those of all."""
 
-    def __init__(self, k: int, at: tuple[int, ...]) -> None:
-        self.k, self.at = k, at
+    def __init__(self, k: int, at: tuple[int, ...], place: int) -> None:
+        self.k, self.at, self.place = k, at, place
 
     def __call__(self, arrays: Any) -> Any:
+        """The entry."""
         return arrays[self.k][(..., *self.at)]
 
 

@@ -58,6 +58,7 @@ class Recorder:
         self.origins: dict[int, dict[int, Traced]] = {}  # what is finite where these values are
         self.finite: set[int] = set()  # values of which it is looked at already
         self.values = 0
+        self.booleans: set[int] = set()  # values that are true or not
         self.of_states: set[int] = set()  # values that depend on nonlinear states
         self.goes_by_rows = False  # whether it takes one of those out of an array
         self.open = True  # whoever remembers a number after the end has the plain one
@@ -111,6 +112,8 @@ class Recorder:
             raise
         of = tuple(x.index if isinstance(x, Traced) else self.constant(x) for x in operands)
         out = self.number(value)
+        if isinstance(value, bool | np.bool_):
+            self.booleans.add(out.index)
         if not self.of_states.isdisjoint(of):
             self.of_states.add(out.index)
         self.done.append(Operation(function, of, out.index))
@@ -124,7 +127,7 @@ class Recorder:
         for i, origin in self.origins[x.index].items():
             if i not in self.finite:
                 self.finite.add(i)
-                self.operation(_check_finite, (origin,))
+                self.operation(check_finite, (origin,))
 
     def condition(self, x: Traced) -> bool:
         """Whether a number counts as true, in this row."""
@@ -195,7 +198,7 @@ def _simplified(function: Callable[..., Any], operands: Sequence[Any]) -> Any:
     return None
 
 
-def _check_finite(x: Any) -> Any:
+def check_finite(x: Any) -> Any:
     """0 x is 0 for these only."""
     if not np.isfinite(x).all():
         raise FloatingPointError("not a finite number")
@@ -233,6 +236,7 @@ def quiet(ufunc: Any) -> Callable[..., Any]:
         with np.errstate(all="ignore"):
             return ufunc(*operands)
 
+    call.ufunc = ufunc  # type: ignore[attr-defined]
     return call
 
 
@@ -250,7 +254,7 @@ def _binary(ufunc: np.ufunc, back: bool) -> Callable[[Any, Any], Any]:
 @functools.cache
 def whole(ufunc: np.ufunc) -> Callable[..., Any]:
     """An integer of Python, which exists for finite numbers only."""
-    return lambda x: ufunc(_check_finite(x))
+    return lambda x: ufunc(check_finite(x))
 
 
 def _unary(ufunc: Any) -> Callable[[Any], Any]:

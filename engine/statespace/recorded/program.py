@@ -218,23 +218,7 @@ class Recorded:
                     raise UntraceableError
 
     def _outputs(self, found: Any, recorder: Recorder) -> Sequence[Output | None]:
-        found = found if self._several else (found,)
-        if not isinstance(found, list | tuple) or len(found) != len(self._shapes):
-            raise UntraceableError
-        out: list[Output | None] = []
-        for value, shape in zip(found, self._shapes, strict=True):
-            if value is None:
-                out.append(None)
-                continue
-            entries = list(_leaves(value))
-            if len(entries) != int(np.prod(shape)):
-                raise UntraceableError
-            fixed = [0.0 if isinstance(x, Traced) else float(x) for x in entries]
-            if any(isinstance(x, Traced) and x.recorder is not recorder for x in entries):
-                raise UntraceableError  # remembered from another call
-            moving = [(i, x.index) for i, x in enumerate(entries) if isinstance(x, Traced)]
-            out.append(Output(shape, np.array(fixed), moving))
-        return out
+        return outputs_of(found if self._several else (found,), self._shapes, recorder)
 
     def reads_argument(self, position: int) -> bool:
         """What the function itself reads."""
@@ -242,6 +226,52 @@ class Recorded:
 
     def __reduce__(self) -> tuple[Any, ...]:  # without what it remembers
         return type(self), (self._function, self._shapes, self._several)
+
+
+def outputs_of(
+    found: Any, shapes: Sequence[tuple[int, ...]], recorder: Recorder
+) -> Sequence[Output | None]:
+    """What a function has returned for one row, as entries that are numbers and entries that are recorded."""
+    if not isinstance(found, list | tuple) or len(found) != len(shapes):
+        raise UntraceableError
+    out: list[Output | None] = []
+    for value, shape in zip(found, shapes, strict=True):
+        if value is None:
+            out.append(None)
+            continue
+        entries = list(_leaves(value))
+        if len(entries) != int(np.prod(shape)):
+            raise UntraceableError
+        fixed = [0.0 if isinstance(x, Traced) else float(x) for x in entries]
+        if any(isinstance(x, Traced) and x.recorder is not recorder for x in entries):
+            raise UntraceableError  # remembered from another call
+        moving = [(i, x.index) for i, x in enumerate(entries) if isinstance(x, Traced)]
+        out.append(Output(shape, np.array(fixed), moving))
+    return out
+
+
+def traced_arguments(numbers: Sequence[Traced], na: int, nu: int, theta: Any) -> Sequence[Any]:
+    """The arguments a, u, t, dt and theta for one row, of traced numbers in this order."""
+    a = np.array(numbers[:na], dtype=object).reshape(1, na).view(TracedArray)
+    u = np.array(numbers[na : na + nu], dtype=object).view(TracedArray)
+    t, dt, *rest = numbers[na + nu :]
+    return a, u, t, dt, theta._make(rest)
+
+
+def traced_results(found: Any, shapes: Sequence[tuple[int, ...]]) -> Any:
+    """Results for one row in their regular shapes, matrices without one for the row where all are numbers."""
+    if not isinstance(found, list | tuple) or len(found) != len(shapes):
+        raise UntraceableError
+    out = []
+    for value, shape in zip(found, shapes, strict=True):
+        entries = list(_leaves(value))
+        if len(entries) != int(np.prod(shape)):
+            raise UntraceableError
+        moving = len(shape) == 1 or any(isinstance(x, Traced) for x in entries)
+        each = np.empty(len(entries), dtype=object)
+        each[:] = entries
+        out.append(each.reshape((1, *shape) if moving else shape).view(TracedArray))
+    return tuple(out)
 
 
 def _leaves(value: Any) -> Iterator[Any]:

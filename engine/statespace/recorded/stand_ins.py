@@ -23,6 +23,7 @@ from engine.statespace.recorded.of_numpy import OF_NUMPY, RowsOfNumPy
 from engine.statespace.recorded.of_python import NAMES, OF_PYTHON
 
 STAND_INS = OF_PYTHON | OF_NUMPY
+OWN = "engine"
 FUNCTIONS = (FunctionType, BuiltinFunctionType, type(np.diag))  # as NumPy has them
 
 
@@ -87,18 +88,28 @@ def _of_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *args, **options: opened(function(*args, **options))
 
 
+class Within(dict[int, Any]):
+    """Functions met, of the engine's own too, by their ids: an effect's that call a user's are looked into."""
+
+
+def _is_left(function: Any, seen: dict[int, Any]) -> bool:
+    """Whether it is not looked into."""
+    package = package_of(function)
+    return package in KNOWN and not (package == OWN and isinstance(seen, Within))
+
+
 def traceable(function: Any, seen: dict[int, Any] | None = None, kind: type = object) -> Any:
     """The same function with stand-ins under its global and enclosing names; of a ``kind``, if a method."""
     seen = {} if seen is None else seen
     called = type(function).__call__
     if not isinstance(function, FunctionType):
-        if isinstance(called, FunctionType) and package_of(called) not in KNOWN:
+        if isinstance(called, FunctionType) and not _is_left(called, seen):
             return MethodType(traceable(called, seen, type(function)), function)
         return stand_in(function, seen)
-    if package_of(function) in KNOWN:
+    if _is_left(function, seen):
         return function
     if id(function) not in seen:
-        if remembers(function, kind):
+        if package_of(function) != OWN and remembers(function, kind):
             raise UntraceableError
         names = dict(function.__globals__)
         closure = tuple(CellType() for _ in function.__closure__ or ())

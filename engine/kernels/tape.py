@@ -1,0 +1,279 @@
+"""A tape of operations gone through for many rows at once, and the filter through two of them.
+
+A tape (A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed. 2008, ch. 4) is what a model's function
+calculates, one operation a line: a code, up to three operands and the result, each a row of the work space
+W (., M). What it does to M rows of states takes no call of the function (:mod:`engine.statespace.tape`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.kernels.moments import observe, predict
+from engine.kernels.van_loan import BLOCK, integrals
+
+NAMES = """
+    add subtract multiply true_divide negative power square sqrt exp log sin cos tanh absolute sign maximum
+    minimum where less less_equal greater greater_equal equal not_equal logical_and logical_or logical_not
+    tan arctan arctan2 arcsin arccos sinh cosh expm1 log1p log10 log2 exp2 hypot remainder fmod floor ceil
+    rint trunc copysign reciprocal isfinite isnan erf check_finite over_a_step holds fails
+""".split()  # noqa: SIM905
+CODES = {name: code for code, name in enumerate(NAMES)}
+
+
+@njit(cache=True, error_model="numpy")
+def go_through(tape, links, W):
+    """Do the operations (n, 5): code, three operands, result; whether all conditions are as they were recorded.
+
+    ``links`` (k, .) are the operands of those that take matrices.
+    """
+    M = W.shape[1]
+    for line in range(tape.shape[0]):
+        code = tape[line, 0]
+        x, y, z, out = W[tape[line, 1]], W[tape[line, 2]], W[tape[line, 3]], W[tape[line, 4]]
+        if code < 18:
+            if code == 0:
+                for m in range(M):
+                    out[m] = x[m] + y[m]
+            elif code == 1:
+                for m in range(M):
+                    out[m] = x[m] - y[m]
+            elif code == 2:
+                for m in range(M):
+                    out[m] = x[m] * y[m]
+            elif code == 3:
+                for m in range(M):
+                    out[m] = x[m] / y[m]
+            elif code == 4:
+                for m in range(M):
+                    out[m] = -x[m]
+            elif code == 5:
+                for m in range(M):
+                    out[m] = x[m] ** y[m]
+            elif code == 6:
+                for m in range(M):
+                    out[m] = x[m] * x[m]
+            elif code == 7:
+                for m in range(M):
+                    out[m] = math.sqrt(x[m]) if x[m] >= 0.0 else np.nan
+            elif code == 8:
+                for m in range(M):
+                    out[m] = np.exp(x[m])
+            elif code == 9:
+                for m in range(M):
+                    out[m] = np.log(x[m])
+            elif code == 10:
+                for m in range(M):
+                    out[m] = np.sin(x[m])
+            elif code == 11:
+                for m in range(M):
+                    out[m] = np.cos(x[m])
+            elif code == 12:
+                for m in range(M):
+                    out[m] = np.tanh(x[m])
+            elif code == 13:
+                for m in range(M):
+                    out[m] = abs(x[m])
+            elif code == 14:
+                for m in range(M):
+                    out[m] = np.sign(x[m])
+            elif code == 15:
+                for m in range(M):
+                    out[m] = np.maximum(x[m], y[m])
+            elif code == 16:
+                for m in range(M):
+                    out[m] = np.minimum(x[m], y[m])
+            else:
+                for m in range(M):
+                    out[m] = y[m] if x[m] != 0.0 else z[m]
+        elif code < 27:
+            for m in range(M):
+                if code == 18:
+                    true = x[m] < y[m]
+                elif code == 19:
+                    true = x[m] <= y[m]
+                elif code == 20:
+                    true = x[m] > y[m]
+                elif code == 21:
+                    true = x[m] >= y[m]
+                elif code == 22:
+                    true = x[m] == y[m]
+                elif code == 23:
+                    true = x[m] != y[m]
+                elif code == 24:
+                    true = x[m] != 0.0 and y[m] != 0.0
+                elif code == 25:
+                    true = x[m] != 0.0 or y[m] != 0.0
+                else:
+                    true = x[m] == 0.0
+                out[m] = 1.0 if true else 0.0
+        elif code == 51:
+            for m in range(M):
+                if not math.isfinite(x[m]):
+                    return False
+                out[m] = x[m]
+        elif code > 52:
+            for m in range(M):
+                if (x[m] != 0.0) != (code == 53):
+                    return False
+        elif code == 52:
+            _over_a_step(links[tape[line, 1]], W)
+        else:
+            for m in range(M):
+                out[m] = _seldom(code, x[m], y[m])
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _over_a_step(link, W):
+    """A_d, B, Q of F, Qc, dt for each row; ``link`` has n, their rows of W, and the first of the results'."""
+    n, M = link[0], W.shape[1]
+    size, first = n * n, link[2 + 2 * link[0] ** 2]
+    width = min(M, BLOCK)
+    F, S, G = np.empty((n, n, width)), np.empty((n, n, width)), np.zeros((n, n, width))
+    steps = np.empty(width)
+    for i in range(n):
+        G[i, i, :] = 1.0
+    for start in range(0, M, width):
+        count = min(width, M - start)
+        lost = np.zeros(count, dtype=np.bool_)
+        for k in range(count):
+            m, total = start + k, 0.0
+            for i in range(n):
+                for j in range(n):
+                    F[i, j, k] = W[link[1 + i * n + j], m]
+                    there, back = link[1 + size + i * n + j], link[1 + size + j * n + i]
+                    S[i, j, k] = 0.5 * (W[there, m] + W[back, m])
+                    total += abs(F[i, j, k]) + abs(S[i, j, k])
+            steps[k] = W[link[1 + 2 * size], m]
+            lost[k] = not total < np.inf
+            if lost[k]:  # it takes no other row with it
+                F[:, :, k], S[:, :, k] = 0.0, 0.0
+        parts = integrals(F, G, S, steps, count, True)
+        for p in range(3):
+            for i in range(n):
+                for j in range(n):
+                    for k in range(count):
+                        value = np.nan if lost[k] else parts[p][i, j, k]
+                        W[first + p * size + i * n + j, start + k] = value
+
+
+@njit(cache=True, error_model="numpy")
+def _seldom(code, x, y):
+    """One operation on one row that few models have."""
+    if code == 27:
+        return np.tan(x)
+    if code == 28:
+        return np.arctan(x)
+    if code == 29:
+        return np.arctan2(x, y)
+    if code == 30:
+        return np.arcsin(x)
+    if code == 31:
+        return np.arccos(x)
+    if code == 32:
+        return np.sinh(x)
+    if code == 33:
+        return np.cosh(x)
+    if code == 34:
+        return np.expm1(x)
+    if code == 35:
+        return np.log1p(x)
+    if code == 36:
+        return np.log10(x)
+    if code == 37:
+        return np.log2(x)
+    if code == 38:
+        return np.exp2(x)
+    if code == 39:
+        return np.hypot(x, y)
+    if code == 40:
+        return np.remainder(x, y)
+    if code == 41:
+        return np.fmod(x, y)
+    if code == 42:
+        return np.floor(x)
+    if code == 43:
+        return np.ceil(x)
+    if code == 44:
+        return np.rint(x)
+    if code == 45:
+        return np.trunc(x)
+    if code == 46:
+        return np.copysign(x, y)
+    if code == 47:
+        return 1.0 / x
+    if code == 48:
+        return 1.0 if math.isfinite(x) else 0.0
+    if code == 49:
+        return 1.0 if math.isnan(x) else 0.0
+    return math.erf(x)
+
+
+@njit(cache=True, error_model="numpy")
+def _put(places, W, into):
+    """Entries of a result (1 or M, .): ``places`` (n, 2) say which, and the row of W that has them."""
+    for n in range(places.shape[0]):
+        entry, slot = places[n, 0], places[n, 1]
+        for m in range(into.shape[0]):
+            into[m, entry] = W[slot, m]
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(tape, links, W, places, into, a, u, t, dt):
+    """One call: the states a (M, na), inputs u, t and dt to the head of W, through the tape, to the results.
+
+    ``into`` are the three results, flat (1 or M, .), and ``places`` what of each is found anew.
+    """
+    M, na = a.shape
+    for i in range(na):
+        for m in range(M):
+            W[i, m] = a[m, i]
+    for j in range(u.size):
+        W[na + j, :] = u[j]
+    W[na + u.size, :], W[na + u.size + 1, :] = t, dt
+    if not go_through(tape, links, W):
+        return False
+    for j in range(3):
+        _put(places[j], W, into[j])
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def filter_taped(reading, moving, u, u_step, t, dt, begins, start, state, y, found, visited):
+    """All rows of :func:`observe` and :func:`predict` through two tapes; False where a check fails.
+
+    ``reading`` and ``moving`` are the arguments of :func:`evaluate` but the last four, with the results as
+    matrices beside them; ``state`` is a, z, V, offsets, m, P, filled in place, ``start`` m and P of x_1;
+    ``found`` innovations, S and terms; ``visited``, each (T, S, na) or empty, the points of the first copy.
+    """
+    tape_y, links_y, W_y, places_y, flat_y, (h, C, R) = reading
+    tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
+    a, z, V, offsets, m, P = state
+    innovations, S, terms = found
+    K, points, na = a.shape
+    rows = a.reshape(K * points, na)
+    nothing = np.zeros((1, m.shape[1], z.shape[2]))
+    for k in range(len(y)):
+        if visited[0].shape[0]:
+            visited[0][k] = a[0]
+        if not evaluate(tape_y, links_y, W_y, places_y, flat_y, rows, u[k], t[k], 0.0):
+            return False
+        observe(k, h, C, R, a, z, V, offsets, m, P, y, innovations, S, terms)
+        if visited[0].shape[0]:
+            visited[1][k] = a[0]
+        if k == len(y) - 1:
+            break
+        if begins[k + 1]:
+            again, Q_1 = np.empty((K * points, m.shape[1])), np.empty((K * points, *P.shape[1:]))
+            for row in range(K * points):
+                again[row], Q_1[row] = start[0][row // points], start[1][row // points]
+            predict(again, nothing, Q_1, a, z, V, offsets, m, P)
+            continue
+        if not evaluate(tape_x, links_x, W_x, places_x, flat_x, rows, u_step[k], t[k], dt[k]):
+            return False
+        predict(f, A, Q, a, z, V, offsets, m, P)
+    return True

@@ -1,0 +1,268 @@
+"""What a model's function calculates as a tape, for filters that call it at every time step.
+
+The function is recorded once on one row (:mod:`engine.statespace.recorded`), extensions of it and the model
+extended together. What depends on parameters alone is found once for a whole record, by NumPy; the rest are
+lines of :func:`engine.kernels.tape.go_through`. A function with an operation that the kernel does not know has
+no tape. Conditions must turn out as they did when it was recorded, for all rows: else the tape is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.special
+from numpy.typing import NDArray
+
+from engine.kernels.tape import CODES
+from engine.statespace.evaluation import ModelFunction
+from engine.statespace.recorded.arrays import Entry, OfArrays
+from engine.statespace.recorded.numbers import (
+    RAISING,
+    Condition,
+    Operation,
+    Recorder,
+    UntraceableError,
+    check_finite,
+)
+from engine.statespace.recorded.paths import Output
+from engine.statespace.recorded.program import outputs_of, traced_arguments
+from engine.statespace.rows import Array
+from engine.statespace.traced_step import over_a_step
+
+CODE_OF = {getattr(np, name): code for name, code in CODES.items() if hasattr(np, name)} | {
+    np.fabs: CODES["absolute"],
+    scipy.special.erf: CODES["erf"],
+    check_finite: CODES["check_finite"],
+}
+RESULTS, OPERANDS = 3, 3
+SQUARE = 2.0
+OF_BOOLEANS = {  # the same as these, of numbers that are true or not
+    np.bitwise_and: CODES["logical_and"],
+    np.bitwise_or: CODES["logical_or"],
+    np.bitwise_xor: CODES["not_equal"],
+    np.invert: CODES["logical_not"],
+}
+
+
+class LeftError(Exception):
+    """These parameters take another way through the function than the one on the tape."""
+
+
+@dataclass(frozen=True)
+class Tape:
+    """One way through a function.
+
+    ``lengths`` of a, u and theta: the arguments are numbered a, u, t, dt, theta; ``known`` are constants by
+    their numbers, ``booleans`` the numbers of values that are true or not.
+    """
+
+    lengths: tuple[int, int, int]
+    known: dict[int, Any]
+    steps: Sequence[Operation | Condition]
+    outputs: Sequence[Output]
+    booleans: frozenset[int]
+
+
+def record_tape(
+    function: ModelFunction, a: Array, u: Array, t: float, dt: float, theta: Any
+) -> Tape | None:
+    """The tape of a function of a model, from its call for one row a (na,); None where it has none."""
+    recorder = Recorder()
+    numbers = [recorder.number(float(x)) for x in (*a, *u, t, dt, *theta)]
+    before = UntraceableError.raised()
+    try:
+        with recorder, np.errstate(all="ignore"):
+            found = function(*traced_arguments(numbers, len(a), len(u), theta))
+            outputs = outputs_of(found, function.shapes, recorder)
+    except (UntraceableError, Exception):  # noqa: BLE001 - then it has none, and is called
+        return None
+    if recorder.failed is not None or UntraceableError.raised() != before:
+        return None  # it caught that
+    if len(outputs) != RESULTS or any(output is None for output in outputs):
+        return None
+    return Tape(
+        (len(a), len(u), len(theta)),
+        recorder.constants,
+        recorder.done,
+        [output for output in outputs if output is not None],
+        frozenset(recorder.booleans),
+    )
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A tape for rows of given parameters, as :func:`engine.kernels.tape.evaluate` takes it.
+
+    The ``codes`` (n, 5), the ``links`` (k, .) of those that take matrices, the work ``space`` (., M), and the
+    three ``results``, flat (1 or M, .), which have all that no state, input or time changes; ``places`` (., 2)
+    are their other entries with the rows of the space.
+    """
+
+    codes: NDArray[np.int64]
+    links: NDArray[np.int64]
+    space: Array
+    places: tuple[NDArray[np.int64], ...]
+    results: tuple[Array, ...]
+    na: int
+    raises: bool  # whether a call may fail where this makes numbers that are not finite
+
+    @property
+    def points(self) -> Array:
+        """The states a (M, na) of the last call."""
+        return np.ascontiguousarray(self.space[: self.na].T)
+
+
+def lines_of(tape: Tape, thetas: Array, copies: int, dt: float | None) -> Lines | None:
+    """The lines for K parameter vectors (K, n), ``copies`` rows each; ``dt`` where all steps have it.
+
+    None where the kernel does not know an operation. Raises LeftError.
+    """
+    known, rest = _of_parameters(tape, thetas, dt)
+    space = _Space(tape, known, rest)
+    codes = []
+    for i, step in enumerate(rest):
+        if isinstance(step, Operation) and isinstance(step.function, Entry):
+            if step.of[0] not in space.matrices:
+                return None
+            space.slots[step.out] = space.matrices[step.of[0]] + step.function.place
+            continue
+        codes.append(space.line(i, step))
+    if not all(codes):
+        return None
+    rows, results, places = len(thetas) * copies, list[Array](), list[NDArray[np.int64]]()
+    for output in tape.outputs:
+        moving = [(entry, space.slots[i]) for entry, i in output.moving if i not in known]
+        fixed = [(entry, known[i]) for entry, i in output.moving if i in known]
+        common = bool(results) and not moving and not any(np.ndim(value) for _, value in fixed)
+        out = np.tile(output.fixed, (1 if common else rows, 1))
+        for entry, value in fixed:
+            out[:, entry] = np.repeat(value, copies) if np.ndim(value) else value
+        results.append(out)
+        places.append(np.array(moving, dtype=np.int64).reshape(-1, 2))
+    work = np.zeros((space.size, rows))
+    for i, slot in space.filled:
+        work[slot] = np.repeat(known[i], copies) if np.ndim(known[i]) else known[i]
+    lines = np.array(codes, dtype=np.int64).reshape(-1, 5)
+    functions = [step.function for step in rest if isinstance(step, Operation)]
+    raises = any(one in RAISING or one is check_finite for one in functions)
+    width = max(map(len, space.links), default=1)
+    links = np.zeros((len(space.links), width), dtype=np.int64)
+    for link, entries in zip(links, space.links, strict=True):
+        link[: len(entries)] = entries
+    return Lines(lines, links, work, tuple(places), tuple(results), tape.lengths[0], raises)
+
+
+def _of_parameters(
+    tape: Tape, thetas: Array, dt: float | None
+) -> tuple[dict[int, Any], list[Operation | Condition]]:
+    """The values that depend on parameters alone, numbers or (K,), and the operations that are left."""
+    na, nu, _ = tape.lengths
+    known = dict(tape.known)
+    for i, column in enumerate(thetas.T, na + nu + 2):
+        known[i] = column if (column != column[0]).any() else float(column[0])
+    if dt is not None:
+        known[na + nu + 1] = dt
+    rest: list[Operation | Condition] = []
+    with np.errstate(divide="raise", over="raise", invalid="raise"):
+        for step in tape.steps:
+            if isinstance(step, Condition):
+                if step.of not in known:
+                    rest.append(step)
+                elif (np.asarray(known[step.of], dtype=bool) != step.held).any():
+                    raise LeftError
+            elif all(i in known for i in step.of):
+                try:
+                    known[step.out] = step.function(*[known[i] for i in step.of])
+                except (ArithmeticError, ValueError) as error:
+                    raise LeftError from error
+            else:
+                rest.append(step)
+    return known, _needed(rest, tape)
+
+
+def _needed(steps: Sequence[Operation | Condition], tape: Tape) -> list[Operation | Condition]:
+    """The operations whose results are used, and the conditions."""
+    wanted = {i for output in tape.outputs for _, i in output.moving}
+    out: list[Operation | Condition] = []
+    for step in reversed(steps):
+        if isinstance(step, Condition):
+            wanted.add(step.of)
+            out.append(step)
+        elif step.out in wanted or step.function is check_finite:
+            wanted.update(step.of)
+            out.append(step)
+    return out[::-1]
+
+
+def _operands(step: Operation | Condition) -> tuple[int, ...]:
+    return (step.of,) if isinstance(step, Condition) else step.of
+
+
+class _Space:
+    """Which row of the work space has which value: ``slots`` by number; ``filled`` once are (value, row).
+
+    The rows of results are taken again after their last use.
+    """
+
+    def __init__(
+        self, tape: Tape, known: dict[int, Any], rest: Sequence[Operation | Condition]
+    ) -> None:
+        na, nu, _ = tape.lengths
+        self.size = na + nu + 2
+        self.slots = {i: i for i in range(self.size)}
+        self.filled: list[tuple[int, int]] = []
+        self._known, self._booleans = known, tape.booleans
+        self._last = {i: line for line, step in enumerate(rest) for i in _operands(step)}
+        self._last |= {i: len(rest) for output in tape.outputs for _, i in output.moving}
+        self.links: list[list[int]] = []
+        self.matrices: dict[int, int] = {}  # the first row of A_d, B, Q, by their number
+        self._found, self._free = set[int](), list[int]()
+
+    def line(self, number: int, step: Operation | Condition) -> tuple[int, ...] | None:
+        """The line of an operation; None where the kernel does not know it."""
+        if isinstance(step, Condition):
+            return CODES["holds" if step.held else "fails"], self._slot(step.of), 0, 0, 0
+        if isinstance(step.function, OfArrays) and step.function.function is over_a_step:
+            return self._step(step)
+        code = self._code(step)
+        if code is None or len(step.of) > OPERANDS:
+            return None
+        operands = [self._slot(i) for i in step.of]
+        for i in set(step.of):
+            if i in self._found and self._last[i] == number:
+                self._free.append(self.slots[i])
+        self.slots[step.out] = self._free.pop() if self._free else self._new()
+        self._found.add(step.out)
+        return code, *operands, *[0] * (OPERANDS - len(operands)), self.slots[step.out]
+
+    def _step(self, step: Operation) -> tuple[int, ...]:
+        """The line of a discretisation, whose operands and results are linked."""
+        n = step.function.shapes[0][0]  # type: ignore[attr-defined]
+        operands = [self._slot(i) for i in step.of]
+        self.matrices[step.out] = self.size
+        self.links.append([n, *operands, self.size])
+        self.size += 3 * n * n
+        return CODES["over_a_step"], len(self.links) - 1, 0, 0, 0
+
+    def _code(self, step: Operation) -> int | None:
+        function = getattr(step.function, "ufunc", step.function)
+        if function in OF_BOOLEANS:
+            return OF_BOOLEANS[function] if self._booleans.issuperset(step.of) else None
+        if function is np.power:
+            exponent = self._known.get(step.of[1])
+            squared = isinstance(exponent, int | float) and exponent == SQUARE
+            return CODES["square" if squared else "power"]
+        return CODE_OF.get(function)
+
+    def _slot(self, i: int) -> int:
+        if i not in self.slots:
+            self.slots[i] = self._new()
+            self.filled.append((i, self.slots[i]))
+        return self.slots[i]
+
+    def _new(self) -> int:
+        self.size += 1
+        return self.size - 1

@@ -1,0 +1,222 @@
+"""The filter through tapes is the filter through calls, for whatever has a tape; what has none is called."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import engine.filters.sigma_point
+from engine.data.joined import joined
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.setting import setting_for
+from engine.filters.filter_steps import FilterSteps, Thetas
+from engine.filters.sigma_point import moment_filter, run_on_tape
+from engine.models.registry import get_model
+from engine.statespace.continuous import continuous
+from engine.statespace.model import Gaussian, MixedModel, Parameter
+
+T, K = 60, 3
+
+
+def drift(a, u, t, theta):
+    """A pendulum on a motor."""
+    angle, rate = a.T
+    return [rate, u[0] - theta.k * np.sin(angle) - theta.c * rate], np.zeros((2, 0))
+
+
+def pendulum():
+    return continuous(
+        name="pendulum",
+        drift=drift,
+        diffusion=lambda a, u, t, theta: np.diag([1e-6, theta.q]),
+        measurement=lambda a, u, t, theta: (a[:, :1], np.zeros((1, 0)), [[theta.r]]),
+        initial=lambda theta: (Gaussian([0.3, 0.0], 0.01 * np.eye(2)), [], np.zeros((0, 0))),
+        nonlinear={"angle": "rad", "rate": "rad/s"},
+        inputs={"torque": "1/s^2"},
+        outputs={"encoder": "rad"},
+        parameters=[
+            Parameter("k", 4.0, bounds=(0.0, 20.0)),
+            Parameter("c", 0.3, bounds=(0.0, 5.0)),
+            Parameter("q", 0.02, bounds=(1e-9, 1.0)),
+            Parameter("r", 0.01, bounds=(1e-9, 1.0)),
+        ],
+    )
+
+
+def series_for(model, seed, even=True):
+    rng = np.random.default_rng(seed)
+    steps = np.full(T - 1, 0.1) if even else rng.uniform(0.05, 0.2, T - 1)
+    y = 0.3 * rng.standard_normal((T, model.ny)).cumsum(axis=0)
+    y[rng.random((T, model.ny)) < 0.1] = np.nan
+    u = rng.standard_normal((T, len(model.inputs))) + 1.5
+    return Series(
+        y,
+        u if len(model.inputs) else None,
+        t=np.concatenate([[0.0], steps.cumsum()]),
+        y_names=tuple(model.outputs),
+        u_names=tuple(model.inputs),
+    )
+
+
+def thetas_of(model, seed):
+    """Near the defaults, effects at sizes that are not zero."""
+    rng = np.random.default_rng(seed)
+    theta = np.asarray(model.theta()).copy()
+    theta = np.where(theta == 0.0, 0.05, theta)
+    return np.clip(theta * (1.0 + 0.02 * rng.random((K, theta.size))), model.lower, model.upper)
+
+
+def both(model, thetas, series, monkeypatch):
+    taped = run_on_tape(FilterSteps(model, Thetas(model, thetas), series))
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.filters.sigma_point, "filter_by_tape", lambda *_: None)
+        called = moment_filter(model, thetas, series)
+    return taped, called
+
+
+def assert_same(taped, called):
+    scale = np.nanmax(np.abs(called.log_terms))
+    np.testing.assert_allclose(taped.log_terms, called.log_terms, rtol=1e-8, atol=1e-8 * scale)
+    np.testing.assert_allclose(taped.S, called.S, rtol=1e-7, atol=1e-9 * np.nanmax(called.S))
+
+
+@pytest.mark.parametrize(
+    ("name", "every"),
+    [
+        ("pendulum", False),
+        *(
+            pytest.param(name, True, marks=pytest.mark.slow)
+            for name in ("mixed-4", "tanks", "pendulum")
+        ),
+    ],
+)
+def test_with_effects_it_is_what_calls_make(name, every, monkeypatch):
+    """With one of each kind, or all of them."""
+    model = pendulum() if name == "pendulum" else get_model(name)
+    series = series_for(model, 1)
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    without = []
+    effects = all_effects(setting)
+    if not every:
+        effects = list({effect.kind: effect for effect in effects}.values())
+    for effect in [None, *effects]:
+        extended = model if effect is None else effect.apply(model)
+        if extended.random_scales:
+            continue  # has a filter of its own
+        taped, called = both(extended, thetas_of(extended, 2), series, monkeypatch)
+        if taped is None:
+            without.append("" if effect is None else effect.name)
+        else:
+            assert_same(taped, called)
+    assert len(without) <= 5, without  # nearly all that diagnoses ask for is on tape
+    assert "" not in without
+
+
+@pytest.mark.parametrize("name", ["mixed-4", "pendulum"])
+def test_uneven_steps_and_records_one_after_the_other(name, monkeypatch):
+    model = pendulum() if name == "pendulum" else get_model(name)
+    series = series_for(model, 3, even=False)
+    assert_same(*both(model, thetas_of(model, 4), series, monkeypatch))
+    two = joined(series_for(model, 5), series_for(model, 6))
+    assert_same(*both(model, thetas_of(model, 4), two, monkeypatch))
+
+
+def level(dynamics):
+    return MixedModel(
+        name="level",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: (a, np.zeros((1, 0)), [[0.1]]),
+        initial=lambda theta: (Gaussian([1.0], [[0.1]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "m"},
+        inputs={"u": "m"},
+        outputs={"y": "m"},
+        parameters=[Parameter("k", 0.9, bounds=(0.0, 2.0))],
+    )
+
+
+def test_a_condition_that_turns_out_otherwise_leaves_the_tape(monkeypatch):
+    def with_time(a, u, t, dt, theta):
+        return (theta.k if t < 2.0 else 0.5) * a, np.zeros((1, 0)), [[0.01]]
+
+    model = level(with_time)
+    taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
+    assert taped is None
+    assert np.isfinite(called.log_likelihood).all()
+
+
+def test_one_that_always_holds_does_not(monkeypatch):
+    def guarded(a, u, t, dt, theta):
+        return (theta.k if t > -1.0 else 0.5) * a, np.zeros((1, 0)), [[0.01]]
+
+    model = level(guarded)
+    taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
+    assert_same(taped, called)
+
+
+def test_what_a_function_changes_its_mind_about_is_seen():
+    """A number of the script that is another at the second fit."""
+    wanted = {"k": 0.5}
+
+    def dynamics(a, u, t, dt, theta):
+        return wanted["k"] * a, np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    series, thetas = series_for(model, 1), thetas_of(model, 1)
+    for _ in range(5):
+        first = moment_filter(model, thetas, series).log_likelihood
+    wanted["k"] = 0.8
+    second = moment_filter(model, thetas, series).log_likelihood
+    other = level(dynamics)
+    np.testing.assert_allclose(second, moment_filter(other, thetas, series).log_likelihood)
+    assert (second != first).all()
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x: np.interp(x, [0.0, 1.0, 2.0], [0.0, 1.0, 1.5]),
+        lambda x: np.array([[1.0, 2.0, 3.0][int(v) % 3] for v in x]),
+        lambda x: np.cbrt(x),
+    ],
+)
+def test_what_the_kernel_does_not_know_is_called(function, monkeypatch):
+    def dynamics(a, u, t, dt, theta):
+        return theta.k * function(a[:, 0])[:, None], np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
+    assert taped is None
+    assert np.isfinite(called.log_likelihood).all()
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        np.sin, np.tanh, np.sqrt, np.log1p, np.arctan, np.floor, np.sign, np.expm1, np.square,
+        np.abs, np.cosh, lambda x: x**3, lambda x: x**2, lambda x: np.maximum(x, 0.5),
+        lambda x: np.where((x > 0.2) & (x < 1.0) | ~(x < 2.0), x, 0.1 * x),
+        lambda x: np.clip(x, 0.1, 0.8), lambda x: np.arctan2(x, 1.0), lambda x: x % 0.7,
+        lambda x: np.hypot(x, 1.0), lambda x: np.exp(-(x**2)), lambda x: 1.0 / (1.0 + x * x),
+        lambda x: np.copysign(1.0, x), lambda x: np.logical_or(x > 1.0, x < 0.0) * x,
+    ],
+)  # fmt: skip
+def test_functions_of_numpy(function, monkeypatch):
+    def dynamics(a, u, t, dt, theta):
+        x = np.abs(a[:, 0]) + 0.1 * u[0]
+        return theta.k * function(x)[:, None], np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
+    assert_same(taped, called)
+
+
+def test_a_filter_that_is_lost_is_lost_on_tape_too():
+    def dynamics(a, u, t, dt, theta):
+        return np.exp(theta.k * a), np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    thetas = np.array([[0.2], [2.0]])
+    found = moment_filter(model, thetas, series_for(model, 1)).log_likelihood
+    assert np.isfinite(found[0])
+    assert found[1] == -np.inf
