@@ -62,8 +62,9 @@ def tidy(unit: str) -> str:
 
 
 def factor(unit: str) -> bool:
-    """Whether a unit begins with a number that multiplies, as ``1e8 m^3``; that of ``1/rad`` does not."""
-    return bool(re.match(r"[\d.]+(?:e[+-]?\d+|(?=\s*[*\s]))", tidy(unit)))
+    """Whether a unit begins with a number that multiplies: ``1e8 m^3``, ``0.001/m``; not ``1/rad``."""
+    begins = re.match(r"[\d.]+(?:e[+-]?\d+)?(?=\s*[*/\s]|$)", tidy(unit))
+    return begins is not None and begins[0] != "1"
 
 
 def with_unit(value: float | None, unit: str, digits: int = 3) -> str:

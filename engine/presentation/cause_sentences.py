@@ -125,10 +125,10 @@ def when(cause: Cause, step: float | None = None) -> str:
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     only = any(word == "stays" and value == 0.0 for word, _, value in own)
     return "".join(
-        f", {word} {moment(value, step) if word == 'time' else number(value, 5)} "
-        f"{cause.units.get(name, '')}".rstrip()
+        f", {word} {moment(value, step, unit) if word == 'time' else with_unit(value, unit, 5)}"
         for word, name, value in own
         if word in wanted
+        for unit in (cause.units.get(name, ""),)
     ) + (", in the record of that time only" if only else "")
 
 

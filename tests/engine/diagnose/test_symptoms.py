@@ -48,7 +48,8 @@ def pumped(n, seed):
 
 def test_numbers_and_units_as_people_write_them():
     assert with_unit(256.0, "1e8 m^3") == "256 x 1e8 m^3"
-    assert with_unit(0.25, "1") == "0.25"
+    assert with_unit(0.25, "0.001/m^3/d") == "0.25 x 0.001/m^3/d"
+    assert (with_unit(0.25, "1/rad"), with_unit(0.25, "1")) == ("0.25 1/rad", "0.25")
     assert with_unit(0.25, "1/s/(1^2)") == "0.25 1/s"
     assert tidy("N s/m") == "N s/m"
     assert (number(float("nan")), percent(0.034), percent(0.41)) == ("?", "3.4 %", "41 %")

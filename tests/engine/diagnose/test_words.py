@@ -303,6 +303,10 @@ def test_a_headline_says_at_which_limit_a_signal_saturates():
     found = replace(cause(("linear:air",)), parameters=values, units={"clip_heating_limit": "kW"})
     assert when(found) == ", limit 5.03 kW"
     assert ", limit 5.03 kW, p = 0.01" in headline(found)
+    duty = replace(found, units={"clip_heating_limit": "1"})
+    assert when(duty) == ", limit 5.03"  # a pure number has no unit: once "5.03 1"
+    crowd = replace(found, units={"clip_heating_limit": "1000 persons"})
+    assert when(crowd) == ", limit 5.03 x 1000 persons"
 
 
 def test_a_headline_says_when_it_happens():
