@@ -32,6 +32,9 @@ from engine.statespace.refutation import repeated_if_refuted
 from engine.ties import flat_directions, tied, ties_in_words
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
+ONE_SIDED = 1e-6  # of it, where a bound leaves one side
+EVEN = 0.999  # of one side's step, from which the other is as long
+SMALL = 0.01  # of a value, up to which a step is small beside it
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths
 # those tried together after the whole step, until one is good
 BATCHES = (slice(1, 3), slice(3, None))
@@ -282,10 +285,28 @@ def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tu
     thetas = [np.array(theta)]
     distances = []
     for k in indices:
-        low, high = either_side(model, theta, k, DIFFERENCE)
+        low, high = _beside(model, theta, int(k))
         thetas += [low, high]
         distances.append(high[k] - low[k])
     return np.array(thetas), np.array(distances)
+
+
+def _beside(model: MixedModel, theta: Array, k: int) -> tuple[Array, Array]:
+    """Theta with parameter k less and more, as far on both sides where its bounds leave room.
+
+    On one side of a bound a difference is wrong by the step, not by its square. Where other parameters do
+    the same as this one, what that leaves of the direction between them was taken for information. A noise
+    next to 0 keeps the long step, which sees whether more of it is likelier.
+    """
+    low, high = either_side(model, theta, k, DIFFERENCE)
+    near, far = sorted((theta[k] - low[k], high[k] - theta[k]))
+    if near > EVEN * far or far > SMALL * abs(theta[k]):
+        return low, high
+    if near * DIFFERENCE < far * ONE_SIDED:
+        return either_side(model, theta, k, ONE_SIDED)
+    low[k] = max(theta[k] - near, model.lower[k])
+    high[k] = min(theta[k] + near, model.upper[k])
+    return low, high
 
 
 def derivatives(

@@ -20,6 +20,7 @@ from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.points import Points
 from engine.statespace.reads import ignores
+from engine.ties import FLAT
 
 # A probe's size in its own standard errors: a slope, also of what few data tell.
 REACH_ERRORS = 0.005
@@ -60,7 +61,9 @@ class Projection:
         size = np.sqrt((V**2).sum(axis=1))
         self.size = np.where(size > 0.0, size, 1.0)
         self.V = V / self.size[:, None]
-        self.inverse = np.linalg.pinv(self.V @ self.V.T, rcond=1e-10, hermitian=True)
+        # a direction that parameters leave open holds what differences leave of it, and no information: at a
+        # bound, on one side of it, more than rounding
+        self.inverse = np.linalg.pinv(self.V @ self.V.T, rcond=FLAT**2, hermitian=True)
 
     def __call__(self, s: Array, v: Array) -> tuple[Array, Array]:
         """Projected s (n, T) and v (n, .)."""
