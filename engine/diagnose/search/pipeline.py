@@ -33,6 +33,7 @@ from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done, whitening
 from engine.estimation.start import WarmStart
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import MixedModel, Theta, ThetaLike
+from engine.ties import flat_directions, ties_in_words
 from engine.words import enumerated
 
 # nats below the highest maximum, another one is kept for what an effect may make of it
@@ -99,6 +100,7 @@ def find_causes(
             "The estimation of the base model did not settle; its parameters may be far off. "
             "Give start values (theta=)."
         )
+    notes.extend(told_together(base))
     held = tuple(name for name in model.parameter_names if name not in base.free)
     setting = replace(setting_for(model, series, base.theta), held=held)
     notes.extend(_not_seen(model, base.theta, series))
@@ -182,6 +184,16 @@ def find_causes(
     clock.stop()
     coarse, another = worth > 0.0, shape is not None
     return Causes(base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another)
+
+
+def told_together(base: QuasiFit) -> list[str]:
+    """A sentence on parameters that only together say anything, as masses and springs without a force."""
+    known = np.diag(base.information) > 0.0  # a noise at its bound is no tie
+    names = [name for name, yes in zip(base.free, known, strict=True) if yes]
+    ties = ties_in_words(names, flat_directions(base.information[np.ix_(known, known)]))
+    if not ties:
+        return []
+    return [f"{ties} Others of their values predict the same: hold them with free= or --fix."]
 
 
 def _not_seen(model: MixedModel, theta: Theta, series: Series) -> list[str]:

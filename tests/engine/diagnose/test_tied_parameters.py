@@ -8,6 +8,7 @@ import pytest
 import engine
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.screening import screen_effects
+from engine.diagnose.search.pipeline import told_together
 from engine.estimation.quasi_ml import quasi_ml
 
 
@@ -57,3 +58,10 @@ def test_a_right_model_with_a_parameter_too_many_raises_no_alarm(reed, series):
     seen = screen_effects(fit, series, setting, ["step", "pulse", "ramp"], 0.05, 1, lambda *_: None)
     assert max(score.statistic for score in seen.scores) < 20.0
     assert seen.p_value > 0.05
+
+
+def test_what_is_determined_together_only_is_told(reed, series):
+    (said,) = told_together(quasi_ml(reed, series, reed.theta()))
+    assert "Only determined together, keep one of them fixed: m, k, c, b." in said
+    free = [name for name in reed.parameter_names if name != "m"]
+    assert told_together(quasi_ml(reed, series, reed.theta(), free)) == []
