@@ -18,6 +18,8 @@ WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
+# Day, month and year with dots between them have this order everywhere; with slashes two are usual.
+DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:[0-5]\d.*))?")
 ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
 
 
@@ -158,15 +160,19 @@ def elapsed(text: str) -> timedelta | None:
 
 
 def date_of(text: str) -> datetime | None:
-    """A date such as 2024-03-01 or 2024-03-01T13:45:00+01:00, None where it is none, or a number."""
+    """A date such as 2024-03-01T13:45:00+01:00, 2024-03-01 or 1.3.2024 13:45; None of others and of numbers."""
     try:
         float(text)
     except ValueError:
         pass
     else:
         return None
+    text = text.strip()
+    if dotted := DOTTED.fullmatch(text):
+        day, month, year, hour, rest = dotted.groups()
+        text = f"{year}-{month:0>2}-{day:0>2}" + (f" {hour:0>2}{rest}" if hour else "")
     try:
-        return datetime.fromisoformat(text.strip())
+        return datetime.fromisoformat(text)
     except ValueError:
         return None
 

@@ -6,8 +6,8 @@ Which columns are which channels:
   may be left out (``indoor`` of ``indoor [degC]``), where one column alone is called so;
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
-- ``t`` names the column of time stamps: numbers, dates such as ``2024-03-01 13:45:00``, or hours, minutes and
-  seconds that go on after a day, ``25:30:00``; left out, a column
+- ``t`` names the column of time stamps: numbers, dates such as ``2024-03-01 13:45:00`` or ``1.3.2024 13:45``,
+  or hours, minutes and seconds that go on after a day, ``25:30:00``; left out, a column
   named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``), unless
   it is one of ``y`` or ``u``. ``T`` is none, which may be a temperature. Where there are several,
   :class:`engine.ReadingWarning` says which it is. Where none is called so and no step is given, the only column

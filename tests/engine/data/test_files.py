@@ -424,14 +424,14 @@ def test_of_several_columns_of_times_it_is_said_which_is_taken(tmp_path):
 
 def test_a_date_that_is_none_is_named_with_its_line(tmp_path):
     path = tmp_path / "logged.csv"
-    path.write_text("t,y\n2024-03-30 22:00,1\n30.03.2024 23:00,2\n")
+    path.write_text("t,y\n2024-03-30 22:00,1\n30/03/2024 23:00,2\n")
     with pytest.raises(
-        SeriesError, match=r"line 3, column 't': '30.03.2024 23:00' is not a date such"
+        SeriesError, match=r"line 3, column 't': '30/03/2024 23:00' is not a date such"
     ):
         read_series(path)
-    path.write_text("t,y\n30.03.2024 22:00,1\n")
+    path.write_text("t,y\n30/03/2024 22:00,1\n")
     with pytest.raises(
-        SeriesError, match=r"line 2, column 't': '30.03.2024 22:00' is not a number"
+        SeriesError, match=r"line 2, column 't': '30/03/2024 22:00' is not a number"
     ):
         read_series(path)
 
@@ -596,7 +596,7 @@ def test_days_of_a_spreadsheet(tmp_path):
         ("t,y\n0,1\nt,y\n1,2\n", "line 3, column 't': 't' is not .*repeats the names of the columns, delete"),
         ("time,y\n2024-01-01,1\ntime,y\n", "line 3, .*if this line repeats the names of the columns"),
         ("Date,Time,y\n2024-01-01,00:00:10,1\n2024-01-01,00:00:20,1\n", "with their date, both in one column"),
-        ("t,y\n01.03.2024 12:00,1\n02.03.2024 12:00,1\n", "read as 2024-03-01 13:45:00: write them so"),
+        ("t,y\n01/03/2024 12:00,1\n02/03/2024 12:00,1\n", "read as 2024-03-01 13:45:00: write them so"),
     ],
 )  # fmt: skip
 def test_what_to_do_about_a_file(tmp_path, text, words):
@@ -639,9 +639,19 @@ def test_empty_columns_at_the_end_and_utf_16(tmp_path):
 
 
 def test_a_date_in_another_order_is_named_where_a_step_is_assumed(tmp_path):
-    path = of(tmp_path, "Zeitstempel;y\n31.03.2024 12:00;1\n31.03.2024 12:01;2\n")
-    with pytest.warns(ReadingWarning, match="as 'Zeitstempel' holds dates"):
+    path = of(tmp_path, "Stamp;y\n31/03/2024 12:00;1\n31/03/2024 12:01;2\n")
+    with pytest.warns(ReadingWarning, match="as 'Stamp' holds dates"):
         read_series(path)
+
+
+def test_a_date_with_dots_has_its_day_first(tmp_path):
+    """As loggers in much of Europe write them: once a step of 1 was assumed instead."""
+    text = "Zeitstempel;y [m]\r\n29.02.2024 23:59:30;1,5\r\n1.3.2024 0:00:00;2,5\r\n"
+    series = read_series(of(tmp_path, text))
+    assert (series.dt, series.t.tolist()) == (30.0, [0.0, 30.0])
+    assert read_series(of(tmp_path, "t,y\n01.03.2024,1\n02.03.2024,2\n")).dt == 86400.0
+    with pytest.raises(SeriesError, match=r"'30\.02\.2024' is not a number; dates"):
+        read_series(of(tmp_path, "t,y\n30.02.2024,1\n01.03.2024,2\n"))
 
 
 def test_hours_that_go_on_after_a_day(tmp_path):
