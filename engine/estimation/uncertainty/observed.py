@@ -44,7 +44,7 @@ from engine.estimation.uncertainty.roots import (
 )
 from engine.estimation.uncertainty.score import Score, inside
 from engine.estimation.uncertainty.score_differences import bend_of, whitened_information
-from engine.estimation.uncertainty.ties import undetermined
+from engine.estimation.uncertainty.ties import tied_to_bounds, undetermined
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
@@ -206,6 +206,7 @@ def standard_errors(
         warning or _said_of_the_end(found),
         said,
         ties_in_words(names, directions),
+        tied_to_bounds(every, within),
         said_of_bounds(at_bound),
         _said_of_stopped(beyond),
         _said_of_noise(relative),

@@ -13,11 +13,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.estimation.likelihood_step import surely_flat
 from engine.estimation.uncertainty.score import Score, shift_within
 from engine.statespace.model import Array
-from engine.ties import flat_directions
+from engine.ties import flat_directions, tied
+from engine.words import enumerated
 
 REACH = 1.0  # length of differences, in the standard errors that complete data would leave
 SEEN_ERRORS = 3.0  # Monte Carlo errors by which information that particles see is above zero ...
@@ -43,6 +45,30 @@ def undetermined(score: Score, complete: Array, seed: int) -> Array:
     doubtful = ~surely
     kept = _not_seen(score, along[:, doubtful], scale[doubtful], seeds)
     return np.hstack([flat[:, surely], flat[:, doubtful] @ kept])
+
+
+def tied_to_bounds(every: Score, within: NDArray[np.bool_]) -> str:
+    """A sentence on parameters whose errors only hold where another stays at the bound that stopped it.
+
+    ``within`` (n,) tells which of the score's parameters are at none. The others are held, and with them a
+    direction that the data leave open seems determined.
+    """
+    if within.all():
+        return ""
+    found = every.likelihood.information(np.asarray(every.theta), every.indices)
+    if found is None:
+        return ""
+    known = np.diag(found) > 0.0  # a variance at 0 says nothing and is tied to nothing
+    flat, free = flat_directions(found[np.ix_(known, known)]), within[known]
+    both = [v for v in flat.T if tied(v[free, None]).any() and tied(v[~free, None]).any()]
+    if not both:
+        return ""
+    names, part = np.array(every.names)[known], tied(np.array(both).T)
+    others, at = (enumerated([str(n) for n in names[part & side]]) for side in (free, ~free))
+    return (
+        f"The data only determine {others} together with {at}, at the bound: these errors hold where that "
+        "bound is the true value."
+    )
 
 
 def _not_seen(

@@ -250,3 +250,13 @@ def test_a_parameter_that_is_weakly_known_is_tied_as_well():
     directions = flat_directions(rows.T @ rows)
     assert 0.003 < np.abs(directions[2]).min() < 0.05
     assert tied(directions).tolist() == [True, True, True]
+
+
+def test_errors_that_rest_on_a_bound_say_so():
+    """b1 ended at its bound, and b2 had an error of its own, as if the bound were known to be right."""
+    start = {**PRODUCT.theta().asdict(), "b1": 5.0, "b2": 0.08}
+    theta = quasi_ml(PRODUCT, SERIES, start, ["p", "b2", "q"]).theta
+    found = engine.standard_errors(PRODUCT, theta, SERIES, exact=True)
+    assert "only determine b2 together with b1, at the bound" in str(found)
+    alone = engine.standard_errors(PRODUCT, theta, SERIES, free=["p", "b2", "q"], exact=True)
+    assert "together" not in str(alone)
