@@ -205,5 +205,5 @@ class HeldOut:
 
 def _is_promise(effect: Effect, among: bool) -> bool:
     """Whether an effect found on rows says what others gain; ``among``: they lie among these."""
-    lasting = effect.family == "time" and effect.traits.course is not Course.PULSE
+    lasting = effect.family == "time" and effect.traits.course not in (Course.PULSE, Course.EPISODE)
     return effect.family in FAMILIES or (among and lasting)

@@ -121,11 +121,11 @@ def when(cause: Cause, step: float | None = None) -> str:
     Of what ends with the record in which it comes that is said, too.
     ``step`` is the time between samples, if it is the same throughout.
     """
-    wanted = ("time", "frequency") if cause.where == "time" else ("limit",)
+    wanted = ("time", "end", "frequency") if cause.where == "time" else ("limit",)
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     only = any(word == "stays" and value == 0.0 for word, _, value in own)
     return "".join(
-        f", {word} {moment(value, step, unit) if word == 'time' else with_unit(value, unit, 5)}"
+        f", {word} {moment(value, step, unit) if word in ('time', 'end') else with_unit(value, unit, 5)}"
         for word, name, value in own
         if word in wanted
         for unit in (cause.units.get(name, ""),)

@@ -136,6 +136,10 @@ CASES = {
         "reading",
         {"pulse_reading": 0.5, "pulse_reading_time": 16.0, "pulse_reading_width": 0.1},
     ),
+    "episode": (
+        "reading",
+        {"episode_reading": 0.3, "episode_reading_time": 16.0, "episode_reading_end": 17.5},
+    ),
     "ramp": ("speed", {"ramp_speed": 0.05}),
     "harmonic": ("speed", {"harmonic_speed": 0.4, "harmonic_speed_frequency": 0.83}),
     "parameter-step": (

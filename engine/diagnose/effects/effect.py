@@ -86,6 +86,8 @@ class Effect:
     @property
     def sought(self) -> tuple[str, ...]:
         """Times at which the likelihood jumps: sought on rows, not by slopes."""
+        if self.traits.course is Course.EPISODE:
+            return self.timing.name, self.parameters[len(self.amplitudes) + 1].name
         jumps = self.traits.course in (Course.STEP, Course.PULSE)
         return (self.timing.name,) if jumps else ()
 

@@ -221,6 +221,21 @@ def _width(name: str, setting: Setting) -> list[Parameter]:
     return [*_when(name, setting), width]
 
 
+def _during(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
+    """1 from the sample at own[0] on, to before the one at own[1]."""
+    return 1.0 * ((t >= own[0]) & (t < own[1]))
+
+
+def _ends(name: str, setting: Setting) -> list[Parameter]:
+    first, last = setting.span
+    within = setting.limits(first, last, -np.inf)
+    begin, end = (first + share * (last - first) for share in (0.45, 0.55))
+    return [
+        setting.time(f"{name}_time", begin, within, "when it begins"),
+        setting.time(f"{name}_end", end, within, "when it is over"),
+    ]
+
+
 def _start(name: str, setting: Setting) -> list[Parameter]:
     return [setting.time(f"{name}_start", setting.run[0], what="when it is zero")]
 
@@ -232,7 +247,7 @@ KINDS: list[Kind] = [
         "[t >= time]",
         _since,
         _from_when,
-        {"ramp": "goes on growing", "pulse": "lasts one sample"},
+        {"ramp": "goes on growing", "pulse": "lasts one sample", "episode": "is over again"},
         held=("stays",),
         traits=Traits(Course.STEP, swallowed=True, plainness=1),
     ),
@@ -245,6 +260,15 @@ KINDS: list[Kind] = [
         {"step": "stays", "heavy-tails": "comes again"},
         held=("width",),
         traits=Traits(Course.PULSE),
+    ),
+    _signal(
+        "episode",
+        "episode",
+        "[time <= t < end]",
+        _during,
+        _ends,
+        {"step": "stays", "pulse": "lasts one sample"},
+        traits=Traits(Course.EPISODE),
     ),
     _signal(
         "ramp",

@@ -11,13 +11,15 @@ ANY = 100  # plainness of a kind that is plainer than none
 class Course(Enum):
     """How an effect runs over time: it is then tried at every time or frequency of a grid.
 
-    The effect's second parameter is the time of a ``STEP`` or ``PULSE``; a ``HARMONIC`` has the amplitude of
+    The effect's second parameter is the time of a ``STEP`` or ``PULSE``, of an ``EPISODE`` the time at which it
+    begins and the third the one at which it is over; a ``HARMONIC`` has the amplitude of
     the sine and the frequency, a ``DRIFT`` the time where it is zero and the one to which its size refers,
     counted anew in each record.
     """
 
     STEP = "step"
     PULSE = "pulse"
+    EPISODE = "episode"
     HARMONIC = "harmonic"
     DRIFT = "drift"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from engine.data.joined import anew, apart, starts_of
@@ -9,6 +11,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
+from engine.diagnose.screening.episodes import Window, near, promising, tries
 from engine.diagnose.screening.score_columns import Column, Projection, whitened
 from engine.diagnose.screening.screen import Test, make_test
 from engine.estimation.expectation import parameter_scale
@@ -36,23 +39,65 @@ def family_test(
 ) -> Test | None:
     """The test of a timed effect over its whole grid; None where it leaves no footprint."""
     b, e = _driver(effect, model, theta, series, path)
-    at, gate, tries = _gates(effect, model, series, path, b, e)
     root, _, _, z = whitened(path, series)
     turned, (T, ny) = np.swapaxes(root, -1, -2), z.shape
     degrees = 2 if effect.traits.course is Course.HARMONIC else 1
 
-    def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
-        some = np.ascontiguousarray(gate[:, start : start + CHUNK])
-        g = np.nan_to_num(footprints(path.F, path.H, path.K, b, e, some))
-        G = np.swapaxes(g @ turned, 0, 1)
-        s = (G * z).sum(axis=2)
-        v = np.zeros((some.shape[1], T * ny * (1 + ny)))
-        v[:, : T * ny] = -G.reshape(len(v), -1)
-        return [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
+    def shown(gate: Array) -> Array:
+        """What the driver leaves in the whitened predictions (n, T, ny), for factors (T, n) in time."""
+        g = footprints(path.F, path.H, path.K, b, e, np.ascontiguousarray(gate))
+        return np.asarray(np.swapaxes(np.nan_to_num(g) @ turned, 0, 1))
 
-    starts = range(0, gate.shape[1], CHUNK)
-    test = make_test(effect, (chunk(start) for start in starts), projection, degrees)
+    def tested(at: Sequence[tuple[float, ...]], gate: Array) -> Test | None:
+        def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
+            G = shown(gate[:, start : start + CHUNK])
+            s = (G * z).sum(axis=2)
+            v = np.zeros((len(G), T * ny * (1 + ny)))
+            v[:, : T * ny] = -G.reshape(len(v), -1)
+            return [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
+
+        starts = range(0, gate.shape[1], CHUNK)
+        return make_test(effect, (chunk(start) for start in starts), projection, degrees)
+
+    if effect.traits.course is Course.EPISODE:
+        return _episode_test(series, pulse_scores(path, series, b, e), shown, tested)
+    at, gate, tries = _gates(effect, model, series, path, b, e)
+    test = tested(at, gate)
     return test if test is None or tries == 1 else test.best_of(tries)
+
+
+def _episode_test(
+    series: Series,
+    of_rows: tuple[Array, Array],
+    shown: Callable[[Array], Array],
+    tested: Callable[[Sequence[tuple[float, ...]], Array], Test | None],
+) -> Test | None:
+    """The test of what begins and is over again: of windows that promise most, and of more near the best."""
+    rows = series.samples
+    scores, information = (np.add.reduceat(x, rows) for x in of_rows)
+    begins, n = np.searchsorted(rows, series.begins).tolist(), len(rows)
+
+    def gates(windows: Sequence[Window]) -> Array:
+        out = np.zeros((len(series), len(windows)))
+        for k, (begin, end) in enumerate(windows):
+            out[rows[begin] : rows[end], k] = 1.0
+        return out
+
+    def known(windows: Sequence[Window]) -> Array:
+        return np.asarray((shown(gates(windows)) ** 2).sum(axis=(1, 2)))
+
+    def test_of(windows: Sequence[Window]) -> Test | None:
+        at = [(float(series.t[rows[begin]]), float(series.t[rows[end]])) for begin, end in windows]
+        return tested(at, gates(windows)) if windows else None
+
+    windows = promising(scores, information, begins, known)
+    first = test_of(windows)
+    if first is None:
+        return None
+    best = windows[int(np.argmax(first.statistics(first.s.sum(axis=1))))]
+    around = [w for w in near(best, n) if not any(w[0] < b < w[1] for b in begins)]
+    again = test_of(around)
+    return None if again is None else again.best_of(int(tries(series.n_measured)))
 
 
 def grid(effect: Effect, series: Series) -> Array:

@@ -102,15 +102,17 @@ def refit(
     # without a size the filter of the extended model goes this way, and not far from it with one
     visited = _along(way, fit.model, extended)
     start, zero = _best_start(extended, series, starts, null, n, further, visited)
-    if sought:
-        start = _best_row(extended, series, start, sought[0], effect, visited)
+    for name in sought:
+        start = _best_row(extended, series, start, name, effect, visited)
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
     climb = partial(
         quasi_ml, extended, series, free=free, tolerance=TOLERANCE, visited=[visited.copy()]
     )
     found = climb(start, target=target, hope=HOPE)
     if sought and found.log_likelihood > target:
-        moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect, visited)
+        moved = np.asarray(found.theta)
+        for name in sought:
+            moved = _best_row(extended, series, moved, name, effect, visited)
         if not np.array_equal(moved, found.theta):
             found = max(found, climb(moved), key=lambda one: one.log_likelihood)
     others = [np.concatenate([rival, np.asarray(found.theta)[n:]]) for rival in fit.rivals]
@@ -373,7 +375,7 @@ def _best_row(
     k = extended.index(name)
     here = int(np.argmin(np.abs(series.t - theta[k])))
     reach = 2
-    if effect.traits.course is not Course.PULSE:  # its grid leaves rows out
+    if effect.traits.course is Course.STEP:  # its grid leaves rows out
         reach = int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
     rows = np.arange(len(series))[reached(effect, extended)]
     rows = rows[np.abs(rows - here) <= reach]

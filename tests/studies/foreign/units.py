@@ -130,7 +130,7 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
     k = units.time
     if kind.startswith("parameter-"):
         return parameter_scales(model)[model.parameter_names.index(channel)]
-    if kind in ("step", "pulse", "harmonic") and source in model.outputs:
+    if kind in ("step", "pulse", "episode", "harmonic") and source in model.outputs:
         return x
     if kind == "path":
         return y / x if target in model.outputs else y / x / k
@@ -145,6 +145,7 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "force": y / k,
         "step": y / k,
         "pulse": y / k,
+        "episode": y / k,
         "harmonic": y / k,
         "coulomb": y / k,
         "stribeck": y / k,

@@ -1,0 +1,96 @@
+"""What begins and is over again, as a door that stands open for an hour, is found with both of its times."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose import diagnose
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.episodes import lengths, near, promising
+from engine.diagnose.screening.screening import screen_effects
+from engine.estimation.quasi_ml import quasi_ml
+
+T, BEGIN, END = 200, 90, 105
+
+
+def room():
+    """A room, its heater and the weather; minutes."""
+
+    def dynamics(a, u, t, dt, theta):
+        stays = np.exp(-dt / theta.tau)
+        return [(1.0 - stays) * (u[1] + theta.gain * u[0])], [[stays]], [[theta.q]]
+
+    return engine.MixedModel(
+        name="room",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r]]),
+        initial=lambda theta: (None, [18.0], [[4.0]]),
+        nonlinear={},
+        linear={"air": "degC"},
+        inputs={"heater": "kW", "outside": "degC"},
+        outputs={"thermometer": "degC"},
+        parameters=[
+            engine.Parameter("tau", 40.0, "min", (1.0, 1e3)),
+            engine.Parameter("gain", 12.0, "K/kW", (0.0, 100.0)),
+            engine.Parameter("q", 0.01, "K^2", (1e-9, 10.0)),
+            engine.Parameter("r", 0.04, "K^2", (1e-9, 10.0)),
+        ],
+    )
+
+
+def record(seed, cold):
+    """Readings every 2 minutes; the air loses ``cold`` kelvin a minute while a door is open."""
+    rng = np.random.default_rng(seed)
+    heater = np.repeat(rng.choice([0.0, 1.0], T // 20), 20)
+    outside = 5.0 + 3.0 * np.sin(np.arange(T) / 40.0)
+    x, y = 18.0, np.empty(T)
+    for k in range(T):
+        y[k] = x + 0.2 * rng.standard_normal()
+        stays = np.exp(-2.0 / 45.0)
+        x = stays * x + (1.0 - stays) * (outside[k] + 11.0 * heater[k])
+        x += 0.1 * rng.standard_normal() - 2.0 * cold * (BEGIN <= k < END)
+    u = np.column_stack([heater, outside])
+    names = {"y_names": ("thermometer",), "u_names": ("heater", "outside")}
+    return engine.Series(y, u, dt=2.0, time_unit="min", **names)
+
+
+def test_an_open_door_has_a_beginning_and_an_end():
+    kinds = ["episode", "step", "pulse", "variance", "level"]
+    found = diagnose(room(), record(1, 0.12), effects=kinds, seed=1, held_out=0)
+    (cause,) = found.causes
+    assert found.verdict.value == "named"
+    assert cause.effect == "episode:air"
+    values = cause.parameters
+    assert values["episode_air_time"] == pytest.approx(2.0 * BEGIN, abs=4.0)
+    assert values["episode_air_end"] == pytest.approx(2.0 * END, abs=4.0)
+    assert abs(cause.size + 0.12) < 3.0 * cause.standard_error
+    assert "end 2" in str(found).partition("1. What")[0]
+
+
+def test_none_is_seen_where_none_was():
+    p_values = []
+    for seed in range(8):
+        series = record(seed, 0.0)
+        fit = quasi_ml(room(), series)
+        setting = setting_for(fit.model, series, np.asarray(fit.theta))
+        seen = screen_effects(fit, series, setting, ["episode"], 0.05, 1, lambda *_: None)
+        p_values.append(seen.p_value)
+    assert np.sort(p_values)[1] > 0.02  # of eight two below it would be one in a hundred
+
+
+def test_windows_of_a_record():
+    n = 100
+    scores, information = np.zeros(n), np.ones(n)
+    scores[40:52] = 1.0
+    known = lambda windows: np.array([end - begin for begin, end in windows], dtype=float)  # noqa: E731
+    windows = promising(scores, information, [], known)
+    begin, end = max(windows, key=lambda w: scores[w[0] : w[1]].sum() ** 2 / (w[1] - w[0]))
+    assert abs(begin - 40) + abs(end - 52) <= 3
+    assert (40, 52) in near((begin, end), n)
+    for begin, end in promising(scores, information, [46], known):  # another record begins there
+        assert not begin < 46 < end
+    assert lengths(n)[0] == 2
+    assert lengths(n)[-1] <= 20
+    assert not lengths(8)
