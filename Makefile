@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Byte code is kept whatever the environment says: the tests start a hundred processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-continuous bench-busy-cores
+.PHONY: setup demo serve test test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-tape bench-continuous bench-busy-cores
 
 setup: .venv/ready
 
@@ -56,6 +56,10 @@ bench: setup
 # Free runs found as a whole beside the loop over time.
 bench-free-run: setup
 	$(BIN)/python -m tests.benchmarks.bench_free_run
+
+# Moment filters through tapes beside filters through calls.
+bench-tape: setup
+	$(BIN)/python -m tests.benchmarks.bench_tape
 
 # A diagnosis of differential equations beside that of an older commit: AGAINST=commit, MODEL=tanks or room.
 bench-continuous: setup

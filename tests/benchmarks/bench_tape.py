@@ -1,0 +1,143 @@
+"""Moment filters through tapes beside filters through calls: ``python -m tests.benchmarks.bench_tape``.
+
+Models of the package and one written as differential equations, as they are and with effects, one parameter
+vector and eight side by side, each pair in turn in one run; then whole diagnoses with and without tapes. Writes
+``results/tape.md``.
+"""
+
+# ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
+
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import engine
+import engine.filters.sigma_point
+from engine.diagnose import diagnose
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import setting_for
+from engine.filters.sigma_point import moment_filter
+from engine.simulation.simulate import simulate
+from tests.benchmarks.bench_diagnose import series_of
+from tests.benchmarks.machine import Watch
+from tests.engine.filters.test_taped import pendulum
+
+RESULTS = Path(__file__).parent / "results"
+ROWS, REPEATS = 1000, 7
+EFFECTS = {
+    "mixed-4": ("", "drag:z1", "coulomb:z2->z3", "hysteresis:z1"),
+    "oscillator": ("", "coulomb:velocity", "boucwen:velocity", "play:velocity"),
+    "pendulum": ("", "coulomb:rate", "boucwen:rate", "parameter-step:c"),
+}
+
+
+@contextmanager
+def by_calls() -> Iterator[None]:
+    """No filter goes through a tape."""
+    own = engine.filters.sigma_point.filter_by_tape
+    engine.filters.sigma_point.filter_by_tape = lambda *_: None
+    try:
+        yield
+    finally:
+        engine.filters.sigma_point.filter_by_tape = own
+
+
+def paired(work: Callable[[], Any], repeats: int) -> tuple[float, float, float, Any, Any]:
+    """Milliseconds by calls and on tape, how many times faster that is; results of both."""
+    seconds = []
+    with by_calls():
+        work()
+    work()
+    for _ in range(repeats):
+        started = time.process_time()
+        with by_calls():
+            called = work()
+        between = time.process_time()
+        taped = work()
+        seconds.append((between - started, time.process_time() - between))
+    pairs = np.array(seconds)
+    ratio = float(np.median(pairs[:, 0] / pairs[:, 1]))
+    return *(1e3 * np.median(pairs, axis=0)).tolist(), ratio, called, taped
+
+
+def series_for(model: engine.MixedModel) -> engine.Series:
+    """A simulated record, inputs that stay for a while."""
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.standard_normal((ROWS // 20, len(model.inputs))), 20, axis=0)
+    return simulate(model, None, ROWS, rng, u=u if model.inputs else None, dt=0.05).series
+
+
+def filters() -> Iterator[str]:
+    """A line of the table for each model and effect."""
+    for name, effects in EFFECTS.items():
+        model = pendulum() if name == "pendulum" else engine.get_model(name)
+        series = series_for(model)
+        setting = setting_for(model, series, np.asarray(model.theta()))
+        for effect in effects:
+            extended = make_effect(effect, setting).apply(model) if effect else model
+            theta = np.asarray(extended.theta()).copy()
+            n = len(model.parameters)
+            theta[n:] = np.where(theta[n:] == 0.0, 0.01, theta[n:])
+            for K in (1, 8):
+                thetas = theta * (1.0 + 1e-6 * np.arange(K))[:, None]
+                calls, tape, ratio, a, b = paired(
+                    lambda m=extended, x=thetas, s=series: moment_filter(m, x, s).log_likelihood,
+                    REPEATS,
+                )
+                apart = float(np.abs(a - b).max() / np.abs(a).max())
+                yield (
+                    f"| {name} | {effect or '-'} | {K} | {calls:.1f} | {tape:.2f} | {ratio:.1f} | {apart:.0e} |"
+                )
+                print(name, effect, K, f"{ratio:.1f}", flush=True)
+
+
+def diagnoses() -> Iterator[str]:
+    """A line for each whole diagnosis."""
+    swing = pendulum()
+    for name, model, series in (
+        ("mixed-4, 1000 samples", engine.get_model("mixed-4"), series_of(ROWS)),
+        ("pendulum, 1000 samples", swing, series_for(swing)),
+    ):
+        calls, tape, ratio, a, b = paired(lambda m=model, s=series: diagnose(m, s, seed=1), 1)
+        same = a.verdict is b.verdict and [x.effect for x in a.causes] == [
+            x.effect for x in b.causes
+        ]
+        yield f"| {name} | {calls / 1e3:.1f} | {tape / 1e3:.1f} | {ratio:.2f} | {'yes' if same else 'NO'} |"
+
+
+def main() -> None:
+    """Measure, and write the page."""
+    with Watch() as watch:
+        of_filters, of_diagnoses = list(filters()), list(diagnoses())
+    figures = watch.figures()
+    lines = [
+        "# Moment filters through tapes",
+        "",
+        f"{ROWS} samples; processor time on one core, medians of {REPEATS} pairs in turn (`make bench-tape`);",
+        "a diagnosis is one pair. *Apart*: the log-likelihoods, as a share. Other programs used "
+        f"{figures['cores used by foreign processes']:.1f} of {figures['cores']:.0f} cores meanwhile.",
+        "",
+        "| model | effect | parameter vectors | calls, ms | tape, ms | times faster | apart |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        *of_filters,
+        "",
+        "| diagnosis | calls, s | tape, s | times faster | the same names |",
+        "| --- | --- | --- | --- | --- |",
+        *of_diagnoses,
+    ]
+    (RESULTS / "tape.md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
