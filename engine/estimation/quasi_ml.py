@@ -126,8 +126,8 @@ def quasi_ml(  # noqa: PLR0913
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
-    where even ``hope`` times twice what a quadratic function gains would not reach ``target``; then
-    ``given_up`` is True.
+    where even ``hope`` times twice what a quadratic function gains would not reach ``target``, or ``hope``
+    times what the iterations left gain at the pace of the last ones; then ``given_up`` is True.
     ``callback(k)`` is called as iteration k begins. ``visited``, one for each series, are points at a theta not
     far from the start; they are brought up to date. ``leave(theta, value, information)`` may give a search up
     before each iteration.
@@ -148,6 +148,7 @@ def quasi_ml(  # noqa: PLR0913
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
         )
     converged, given_up, iterations, damping = False, False, 0, DAMPING
+    gains: list[float] = []
     while iterations < max_iterations:
         iterations += 1
         if callback is not None:
@@ -158,7 +159,10 @@ def quasi_ml(  # noqa: PLR0913
         if not expected > tolerance:
             converged = True
             break
-        hopeless = iterations > PATIENCE and value + hope * expected < target
+        # at a kink hardly anything of what is expected is gained, however far away the maximum is
+        left = max_iterations - iterations + 1
+        most = min(expected, left * max(gains[-PATIENCE:], default=np.inf))
+        hopeless = iterations > PATIENCE and value + hope * most < target
         if hopeless or leave(theta, value, H):
             given_up = True
             break
@@ -172,6 +176,7 @@ def quasi_ml(  # noqa: PLR0913
         if not np.isfinite(there[0]):
             break
         gained, theta = there[0] - value, moved
+        gains.append(gained)
         value, g, H = there
         if gained < 0.1 * tolerance:
             converged = True

@@ -126,7 +126,8 @@ def refit(
         best_elsewhere, _ = _best_start(
             extended, series, np.array(elsewhere), null, n, None, visited
         )
-    return _complete(_weighed(effect, found, zero, series), zero, series, best_elsewhere)
+    weighed = _weighed(effect, found, zero, series)
+    return _complete(weighed, zero, series, best_elsewhere, visited)
 
 
 def _with_usual_noise(fit: QuasiFit, found: QuasiFit, series: Series) -> list[Array]:
@@ -177,10 +178,17 @@ def _weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refi
     return Refit(effect, fit, gain, gain - cost(effect, series))
 
 
-def _complete(refit: Refit, null: float, series: Series, elsewhere: Array | None = None) -> Refit:
+def _complete(
+    refit: Refit,
+    null: float,
+    series: Series,
+    elsewhere: Array | None = None,
+    visited: Visited | None = None,
+) -> Refit:
     """The refit with what else is known, or may be estimated, of its effect."""
     begun = _with_other_beginning(refit, null, series)
-    return _with_shown_size(_with_zero(begun, null, series, elsewhere), null, series)
+    zero = _with_zero(begun, null, series, elsewhere, Visited() if visited is None else visited)
+    return _with_shown_size(zero, null, series)
 
 
 def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:
@@ -221,26 +229,36 @@ def _with_shown_size(refit: Refit, null: float, series: Series) -> Refit:
     return replace(refit, score=max(score, refit.score))
 
 
-def _with_zero(refit: Refit, null: float, series: Series, elsewhere: Array | None) -> Refit:
+def _with_zero(
+    refit: Refit, null: float, series: Series, elsewhere: Array | None, visited: Visited
+) -> Refit:
     """The refit with the zero of its channel estimated too, where the data tell it.
 
     Nothing says that the zero of a unit is that of the physics, unless the model declares it: drag about
     20 m/s is not drag. One more parameter counts as any other. ``elsewhere`` (n,) is a theta with a zero from
-    which the screen saw more than from the one that is held.
+    which the screen saw more than from the one that is held. Its search is left where it will not gain what the
+    parameter costs: most records tell of no zero, and each of them would be followed to the last digit.
     """
     effect, known = refit.effect, refit.fit
     if effect.zero not in effect.held:
         return refit
     if elsewhere is None and (known.given_up or not refit.score > 0.0):
         return refit
-    start = known.theta if elsewhere is None else elsewhere
+    start, freed = known.theta if elsewhere is None else elsewhere, effect.with_free_zero()
     try:
         found = quasi_ml(
-            known.model, series, start, [*known.free, effect.zero], tolerance=TOLERANCE
+            known.model,
+            series,
+            start,
+            [*known.free, effect.zero],
+            tolerance=TOLERANCE,
+            target=null + 0.5 * (refit.score + cost(freed, series)),
+            hope=HOPE,
+            visited=[visited.copy()],
         )
     except (EngineError, np.linalg.LinAlgError):
         return refit
-    again = _weighed(effect.with_free_zero(), found, null, series)
+    again = _weighed(freed, found, null, series)
     return again if again.score > refit.score else refit
 
 

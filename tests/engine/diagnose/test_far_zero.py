@@ -8,7 +8,8 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.screen import Score
-from engine.diagnose.search.refits import refit
+from engine.diagnose.search import refits as module
+from engine.diagnose.search.refits import cost, refit
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import Units, mixer, referred
 
@@ -76,3 +77,26 @@ def test_a_declared_zero_is_looked_at_alone(decaying):
     effect = make_effect("linear:second", setting_for(model, decaying, np.asarray(model.theta())))
     assert effect.probes == ((),)
     assert effect.zero is None
+
+
+def test_the_search_for_a_zero_is_told_what_it_has_to_gain(decaying, monkeypatch):
+    """Else each effect of which the data tell no zero is followed to the last digit, with one that is free."""
+    model, series = mixer(), decaying.part(0, 120)
+    fit = quasi_ml(model, series)
+    effect = make_effect("drag:second", setting_for(model, series, np.asarray(fit.theta)))
+    targets = []
+
+    def searched(*args, target=-np.inf, **options):
+        free = args[3] if len(args) > 3 else options["free"]
+        if effect.zero in free:
+            targets.append(target)
+        return quasi_ml(*args, target=target, **options)
+
+    monkeypatch.setattr(module, "quasi_ml", searched)
+    found = refit(fit, series, seen(effect, 1e-3, effect.probes[0][-1]))
+    (target,) = targets
+    freed = cost(effect.with_free_zero(), series)
+    # as much more as the parameter costs, log T
+    null = found.fit.log_likelihood - 0.5 * found.gain
+    assert target <= null + 0.5 * (found.score + freed) + 1e-9
+    assert target > fit.log_likelihood
