@@ -87,7 +87,8 @@ def _same(taped: Array, called: Array) -> bool:
     """Whether results (1 or M, ...) are the same, each entry by its size over all rows."""
     apart = np.abs(taped - called)
     sizes = np.abs(called).max(axis=0, keepdims=True, initial=0.0)
-    return bool(np.all((apart <= SAME * sizes) | (taped == called) | ~np.isfinite(called)))
+    neither = ~(np.isfinite(called) | np.isfinite(taped))
+    return bool(np.all((apart <= SAME * sizes) | (taped == called) | neither))
 
 
 def filter_by_tape(
@@ -109,7 +110,7 @@ def filter_by_tape(
     reading, moving = both
     first = np.array(a.reshape(K * a.shape[1], na))
     if min(reading.kept.passes, moving.kept.passes) < NEW and not (
-        reading.agrees(0, first) and (0 + 1 in series.begins or moving.agrees(0, first))
+        reading.agrees(0, first) and (1 in series.begins or moving.agrees(0, first))
     ):
         return None
     innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
@@ -162,12 +163,10 @@ def _on_tape(run: FilterSteps, a: Array, copies: int) -> tuple[_Function, _Funct
                 record_tape(function, a, u[0], run.times[0], run.steps[0], record)
             )
         kept = _TAPES[function]
+        if kept.tape is None:
+            return None
         try:
-            lines = (
-                None
-                if kept.tape is None
-                else lines_of(kept.tape, run.thetas.thetas, copies, run.steps[0] if even else None)
-            )
+            lines = lines_of(kept.tape, run.thetas.thetas, copies, run.steps[0] if even else None)
         except LeftError:
             return None
         if lines is None:

@@ -15,13 +15,23 @@ from numba import njit
 from engine.kernels.moments import observe, predict
 from engine.kernels.van_loan import BLOCK, integrals
 
+# Codes of operations: functions of NumPy by their names, and what else there is.
 NAMES = """
-    add subtract multiply true_divide negative power square sqrt exp log sin cos tanh absolute sign maximum
-    minimum where less less_equal greater greater_equal equal not_equal logical_and logical_or logical_not
-    tan arctan arctan2 arcsin arccos sinh cosh expm1 log1p log10 log2 exp2 hypot remainder fmod floor ceil
-    rint trunc copysign reciprocal isfinite isnan erf check_finite over_a_step holds fails
+    add subtract multiply true_divide negative power square sqrt exp log sin cos tanh absolute sign
+    maximum minimum where less less_equal greater greater_equal equal not_equal logical_and
+    logical_or logical_not tan arctan arctan2 arcsin arccos sinh cosh expm1 log1p log10 log2 exp2
+    hypot remainder fmod floor ceil rint trunc copysign reciprocal isfinite isnan erf check_finite
+    over_a_step holds fails
 """.split()  # noqa: SIM905
 CODES = {name: code for code, name in enumerate(NAMES)}
+(
+    ADD, SUBTRACT, MULTIPLY, TRUE_DIVIDE, NEGATIVE, POWER, SQUARE, SQRT, EXP, LOG, SIN, COS,
+    TANH, ABSOLUTE, SIGN, MAXIMUM, MINIMUM, WHERE, LESS, LESS_EQUAL, GREATER, GREATER_EQUAL,
+    EQUAL, NOT_EQUAL, LOGICAL_AND, LOGICAL_OR, LOGICAL_NOT, TAN, ARCTAN, ARCTAN2, ARCSIN,
+    ARCCOS, SINH, COSH, EXPM1, LOG1P, LOG10, LOG2, EXP2, HYPOT, REMAINDER, FMOD, FLOOR, CEIL,
+    RINT, TRUNC, COPYSIGN, RECIPROCAL, ISFINITE, ISNAN, ERF, CHECK_FINITE, OVER_A_STEP, HOLDS,
+    FAILS,
+) = range(len(NAMES))  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
@@ -34,92 +44,92 @@ def go_through(tape, links, W):
     for line in range(tape.shape[0]):
         code = tape[line, 0]
         x, y, z, out = W[tape[line, 1]], W[tape[line, 2]], W[tape[line, 3]], W[tape[line, 4]]
-        if code < 18:
-            if code == 0:
+        if code <= WHERE:
+            if code == ADD:
                 for m in range(M):
                     out[m] = x[m] + y[m]
-            elif code == 1:
+            elif code == SUBTRACT:
                 for m in range(M):
                     out[m] = x[m] - y[m]
-            elif code == 2:
+            elif code == MULTIPLY:
                 for m in range(M):
                     out[m] = x[m] * y[m]
-            elif code == 3:
+            elif code == TRUE_DIVIDE:
                 for m in range(M):
                     out[m] = x[m] / y[m]
-            elif code == 4:
+            elif code == NEGATIVE:
                 for m in range(M):
                     out[m] = -x[m]
-            elif code == 5:
+            elif code == POWER:
                 for m in range(M):
                     out[m] = x[m] ** y[m]
-            elif code == 6:
+            elif code == SQUARE:
                 for m in range(M):
                     out[m] = x[m] * x[m]
-            elif code == 7:
+            elif code == SQRT:
                 for m in range(M):
                     out[m] = math.sqrt(x[m]) if x[m] >= 0.0 else np.nan
-            elif code == 8:
+            elif code == EXP:
                 for m in range(M):
                     out[m] = np.exp(x[m])
-            elif code == 9:
+            elif code == LOG:
                 for m in range(M):
                     out[m] = np.log(x[m])
-            elif code == 10:
+            elif code == SIN:
                 for m in range(M):
                     out[m] = np.sin(x[m])
-            elif code == 11:
+            elif code == COS:
                 for m in range(M):
                     out[m] = np.cos(x[m])
-            elif code == 12:
+            elif code == TANH:
                 for m in range(M):
                     out[m] = np.tanh(x[m])
-            elif code == 13:
+            elif code == ABSOLUTE:
                 for m in range(M):
                     out[m] = abs(x[m])
-            elif code == 14:
+            elif code == SIGN:
                 for m in range(M):
                     out[m] = np.sign(x[m])
-            elif code == 15:
+            elif code == MAXIMUM:
                 for m in range(M):
                     out[m] = np.maximum(x[m], y[m])
-            elif code == 16:
+            elif code == MINIMUM:
                 for m in range(M):
                     out[m] = np.minimum(x[m], y[m])
             else:
                 for m in range(M):
                     out[m] = y[m] if x[m] != 0.0 else z[m]
-        elif code < 27:
+        elif code <= LOGICAL_NOT:
             for m in range(M):
-                if code == 18:
+                if code == LESS:
                     true = x[m] < y[m]
-                elif code == 19:
+                elif code == LESS_EQUAL:
                     true = x[m] <= y[m]
-                elif code == 20:
+                elif code == GREATER:
                     true = x[m] > y[m]
-                elif code == 21:
+                elif code == GREATER_EQUAL:
                     true = x[m] >= y[m]
-                elif code == 22:
+                elif code == EQUAL:
                     true = x[m] == y[m]
-                elif code == 23:
+                elif code == NOT_EQUAL:
                     true = x[m] != y[m]
-                elif code == 24:
+                elif code == LOGICAL_AND:
                     true = x[m] != 0.0 and y[m] != 0.0
-                elif code == 25:
+                elif code == LOGICAL_OR:
                     true = x[m] != 0.0 or y[m] != 0.0
                 else:
                     true = x[m] == 0.0
                 out[m] = 1.0 if true else 0.0
-        elif code == 51:
+        elif code == CHECK_FINITE:
             for m in range(M):
                 if not math.isfinite(x[m]):
                     return False
                 out[m] = x[m]
-        elif code > 52:
+        elif code >= HOLDS:
             for m in range(M):
-                if (x[m] != 0.0) != (code == 53):
+                if (x[m] != 0.0) != (code == HOLDS):
                     return False
-        elif code == 52:
+        elif code == OVER_A_STEP:
             _over_a_step(links[tape[line, 1]], W)
         else:
             for m in range(M):
@@ -164,51 +174,51 @@ def _over_a_step(link, W):
 @njit(cache=True, error_model="numpy")
 def _seldom(code, x, y):
     """One operation on one row that few models have."""
-    if code == 27:
+    if code == TAN:
         return np.tan(x)
-    if code == 28:
+    if code == ARCTAN:
         return np.arctan(x)
-    if code == 29:
+    if code == ARCTAN2:
         return np.arctan2(x, y)
-    if code == 30:
+    if code == ARCSIN:
         return np.arcsin(x)
-    if code == 31:
+    if code == ARCCOS:
         return np.arccos(x)
-    if code == 32:
+    if code == SINH:
         return np.sinh(x)
-    if code == 33:
+    if code == COSH:
         return np.cosh(x)
-    if code == 34:
+    if code == EXPM1:
         return np.expm1(x)
-    if code == 35:
+    if code == LOG1P:
         return np.log1p(x)
-    if code == 36:
+    if code == LOG10:
         return np.log10(x)
-    if code == 37:
+    if code == LOG2:
         return np.log2(x)
-    if code == 38:
+    if code == EXP2:
         return np.exp2(x)
-    if code == 39:
+    if code == HYPOT:
         return np.hypot(x, y)
-    if code == 40:
+    if code == REMAINDER:
         return np.remainder(x, y)
-    if code == 41:
+    if code == FMOD:
         return np.fmod(x, y)
-    if code == 42:
+    if code == FLOOR:
         return np.floor(x)
-    if code == 43:
+    if code == CEIL:
         return np.ceil(x)
-    if code == 44:
+    if code == RINT:
         return np.rint(x)
-    if code == 45:
+    if code == TRUNC:
         return np.trunc(x)
-    if code == 46:
+    if code == COPYSIGN:
         return np.copysign(x, y)
-    if code == 47:
+    if code == RECIPROCAL:
         return 1.0 / x
-    if code == 48:
+    if code == ISFINITE:
         return 1.0 if math.isfinite(x) else 0.0
-    if code == 49:
+    if code == ISNAN:
         return 1.0 if math.isnan(x) else 0.0
     return math.erf(x)
 
