@@ -21,7 +21,7 @@ from engine.words import bounds, enumerated, number, percent
 
 APART = {  # look-alikes in the headline, by what their difference begins with
     "in other words the same on these data": (SAME,),
-    "less likely, but not ruled out": (AS_LIKELY, LESS_LIKELY),
+    "less likely or not as simple, but not ruled out": (AS_LIKELY, LESS_LIKELY),
 }
 TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
 
