@@ -155,7 +155,10 @@ def quasi_ml(  # noqa: PLR0913
             callback(iterations)
         x = theta[indices]
         direction = scoring_step(x, g, H, lower, upper, damping)
-        expected = float(g @ direction)
+        with np.errstate(over="ignore", invalid="ignore"):
+            expected = float(g @ direction)
+        if not np.isfinite(expected):
+            break  # no slope leads anywhere
         if not expected > tolerance:
             converged = True
             break
