@@ -149,7 +149,7 @@ def test_preview_of_stored_arrays(client, tmp_path):
     [
         ("a.csv", "", None, "file", "is empty"),
         ("a.csv", "1,2\n3,4\n", None, "file", "must name the columns"),
-        ("a.xlsx", "y\n1\n2\n", None, "file", "must be a .csv"),
+        ("a.xlsx", "y\n1\n2\n", None, "file", "the ending must be .csv"),
         ("a.csv", "y\n1\n2\n", "z", "t", "no column 'z'"),
         ("a.npz", "PK", None, "file", "not a readable"),
     ],
