@@ -93,7 +93,7 @@ def filter_neighbours(
     if model.random_scales:
         return moment_filter(model, thetas, series)
     run = FilterSteps(model, Thetas(model, thetas), series)
-    if (taped := run_on_tape(run)) is not None:
+    if model.na and (taped := run_on_tape(run)) is not None:
         return taped
     if not _worth_it(run, visited):
         return moment_filter(model, thetas, series)
@@ -114,11 +114,11 @@ def filter_all(
     if model.random_scales:
         return moment_filter(model, thetas, series)
     run = FilterSteps(model, Thetas(model, thetas), series)
-    if (taped := run_on_tape(run)) is not None:
-        return taped
     if model.na == 0:
         found = followed(run)
         return moment_filter(model, thetas, series) if found is None else found
+    if (taped := run_on_tape(run)) is not None:
+        return taped
     if visited is not None and visited.seen is not None:
         times, vectors = _takes(run)
         if times and (not vectors or (run.thetas.K <= EACH and model.na <= STATES)):
