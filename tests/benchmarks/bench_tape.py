@@ -14,11 +14,9 @@ import os
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,6 +28,7 @@ from engine.diagnose.effects.setting import setting_for
 from engine.filters.sigma_point import moment_filter
 from engine.simulation.simulate import simulate
 from tests.benchmarks.bench_diagnose import series_of
+from tests.benchmarks.bench_free_run import paired
 from tests.benchmarks.machine import Watch
 from tests.engine.filters.test_taped import pendulum
 
@@ -51,24 +50,6 @@ def by_calls() -> Iterator[None]:
         yield
     finally:
         engine.filters.sigma_point.filter_by_tape = own
-
-
-def paired(work: Callable[[], Any], repeats: int) -> tuple[float, float, float, Any, Any]:
-    """Milliseconds by calls and on tape, how many times faster that is; results of both."""
-    seconds = []
-    with by_calls():
-        work()
-    work()
-    for _ in range(repeats):
-        started = time.process_time()
-        with by_calls():
-            called = work()
-        between = time.process_time()
-        taped = work()
-        seconds.append((between - started, time.process_time() - between))
-    pairs = np.array(seconds)
-    ratio = float(np.median(pairs[:, 0] / pairs[:, 1]))
-    return *(1e3 * np.median(pairs, axis=0)).tolist(), ratio, called, taped
 
 
 def series_for(model: engine.MixedModel) -> engine.Series:
@@ -94,6 +75,7 @@ def filters() -> Iterator[str]:
                 calls, tape, ratio, a, b = paired(
                     lambda m=extended, x=thetas, s=series: moment_filter(m, x, s).log_likelihood,
                     REPEATS,
+                    by_calls,
                 )
                 apart = float(np.abs(a - b).max() / np.abs(a).max())
                 yield (
@@ -109,7 +91,9 @@ def diagnoses() -> Iterator[str]:
         ("mixed-4, 1000 samples", engine.get_model("mixed-4"), series_of(ROWS)),
         ("pendulum, 1000 samples", swing, series_for(swing)),
     ):
-        calls, tape, ratio, a, b = paired(lambda m=model, s=series: diagnose(m, s, seed=1), 1)
+        calls, tape, ratio, a, b = paired(
+            lambda m=model, s=series: diagnose(m, s, seed=1), 1, by_calls
+        )
         same = a.verdict is b.verdict and [x.effect for x in a.causes] == [
             x.effect for x in b.causes
         ]
