@@ -10,6 +10,8 @@ import numpy as np
 
 from engine.statespace.discretization import discretize
 from engine.statespace.model import Array
+from engine.statespace.recorded.arrays import record_arrays
+from engine.statespace.recorded.numbers import Traced
 
 # values (..., n), the last one dt -> F (..., nx, nx), G (..., nx, nu), Qc (..., nx, nx)
 Build: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
@@ -26,6 +28,8 @@ class LinearCore:
 
     def __call__(self, *values: Any) -> tuple[Array, ...]:
         """A (nx, nx), B (nx, nu), Q (nx, nx); (K, ., .) where some of the values are arrays (K,)."""
+        if any(isinstance(value, Traced) for value in values):
+            return record_arrays(self._of_recorded, [np.array(values, dtype=object)])
         values = (*values[:-1], _rounded(values[-1]))
         known, matrices = self._last  # a filter asks for the same ones at every step
         if len(known) == len(values) and all(map(_same, known, values)):
@@ -50,6 +54,10 @@ class LinearCore:
         which = [distinct.setdefault(tuple(row), len(distinct)) for row in rows.tolist()]
         matrices = self._discretized(np.array(list(distinct)))
         return _shared(matrix[0] if len(distinct) == 1 else matrix[which] for matrix in matrices)
+
+    def _of_recorded(self, values: Array) -> tuple[Array, ...]:
+        """A, B, Q of ``values`` (..., n), in a function that is being recorded."""
+        return self._discretized(np.concatenate([values[..., :-1], _rounded_last(values)], axis=-1))
 
     def _discretized(self, values: Array) -> tuple[Array, ...]:
         F, G, Qc = self._build(values)
@@ -77,6 +85,11 @@ def _rounded(dt: Any) -> Any:
         return _rounded_number(float(dt))
     digits = 10.0 ** (11.0 - np.floor(np.log10(dt)))
     return np.round(dt * digits) / digits
+
+
+def _rounded_last(values: Array) -> Array:
+    dt = np.asarray(_rounded(values[..., -1]), dtype=float)
+    return dt[..., None]
 
 
 @lru_cache(maxsize=4096)

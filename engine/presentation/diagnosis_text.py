@@ -94,7 +94,9 @@ def _head(d: Diagnosis) -> Iterator[str]:
             yield from _wrapped(f"in other words, the same on these data: {same}", "      ")
         if cause.not_ruled_out:
             less = enumerated(list(cause.not_ruled_out), "or")
-            yield from _wrapped(f"less likely or not as simple, but not ruled out: {less}", "      ")
+            yield from _wrapped(
+                f"less likely or not as simple, but not ruled out: {less}", "      "
+            )
     if not d.causes:
         if d.unsearched is not None:
             yield from _wrapped(d.unsearched.sentence, "  ")

@@ -36,7 +36,7 @@ RESULTS = Path(__file__).parent / "results"
 ROWS, REPEATS = 1000, 7
 EFFECTS = {
     "mixed-4": ("", "drag:z1", "coulomb:z2->z3", "hysteresis:z1"),
-    "oscillator": ("", "coulomb:velocity", "boucwen:velocity", "play:velocity"),
+    "oscillator": ("", "coulomb:velocity", "boucwen:velocity", "delay:drive"),
     "pendulum": ("", "coulomb:rate", "boucwen:rate", "parameter-step:c"),
 }
 
