@@ -67,9 +67,10 @@ def read_csv(data: bytes, file: str) -> Table:
         first += 1
         if first >= last:
             raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
-    elif first and (names_of := _commented(lines[first - 1], lines[first])):
+    commented = "" if told or not first else _commented(lines[first - 1], lines[first])
+    if commented:
         first -= 1
-        lines[first] = names_of
+        lines[first] = commented
     delimiter = told[1] if told else _delimiter(lines[first:last])
     if not told and delimiter == "," and _in_blanks(lines[first:last]):
         lines[first:last] = ["\t".join(line.split()) for line in lines[first:last]]
@@ -117,6 +118,10 @@ def read_csv(data: bytes, file: str) -> Table:
         rows = [[_pointed(cell) for cell in row] for row in rows]
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    if (
+        delimiter != "," and commented and " ".join(names) == commented
+    ):  # so many words may be any comment
+        table.notes.append(f"the columns are named as the comment above them says: {commented}.")
     table.hold = hold[-1] if hold else None
     table.time_unit = time_unit[-1] if time_unit else None
     return table

@@ -88,7 +88,8 @@ def filter_neighbours(
 ) -> MomentFiltered:
     """:func:`moment_filter` at ``thetas`` (K, n_theta), which are all next to the first.
 
-    ``visited``, by a filter of this model and series at another theta, is brought up to date.
+    ``visited``, by a filter of this model and series at another theta, is brought up to date; but where the
+    functions are on tape, whose filters need none.
     """
     if model.random_scales:
         return moment_filter(model, thetas, series)

@@ -12,6 +12,9 @@ called row by row. So is a function that reads what it left at its last call (:m
 through a function is compared with a call of it for the row on which it was recorded, and all are tested as any
 call of many rows is, by :mod:`engine.statespace.evaluation`.
 
+What filters call at every time step is recorded with the effects around it, and is a tape for a kernel
+(:mod:`engine.statespace.tape`).
+
 While it is recorded a function finds other functions under its global names (:mod:`.stand_ins`), where those of
 NumPy and of Python take plain numbers only (:mod:`.of_numpy`, :mod:`.of_python`).
 """

@@ -693,7 +693,11 @@ def test_names_in_a_comment(tmp_path, ending, delimiter):
     """As ``numpy.savetxt`` writes a header."""
     path, rows = tmp_path / f"run{ending}", np.arange(12.0).reshape(4, 3)
     np.savetxt(path, rows, delimiter=delimiter, header=delimiter.join(("t", "u", "y")))
-    series = read_series(path)
+    if delimiter == " ":  # words of a comment might be anything
+        with pytest.warns(ReadingWarning, match="named as the comment above them says: t u y"):
+            series = read_series(path)
+    else:
+        series = read_series(path)
     np.testing.assert_array_equal(np.column_stack([series.t, series.u, series.y]), rows)
 
 
