@@ -27,6 +27,7 @@ from engine.filters.scale_mixture_proposal import MixingProposal, WithoutScale
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import product
 from engine.statespace.random_scale import RandomScale
+from engine.statespace.recorded.stand_ins import Within, traceable
 from engine.statespace.split import Split
 
 LARGEST = 23.0  # of log s: noise a hundred thousand times as large is as good as no measurement
@@ -184,6 +185,11 @@ class _Part:
 
     def __call__(self, *given: Any) -> Any:
         return self.function(*given)
+
+    @property
+    def traced(self) -> Any:
+        """The same for a row of numbers that are being recorded."""
+        return traceable(self.function, Within())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _part, (*self.made, self.function.__name__)

@@ -21,7 +21,7 @@ from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.filters.strata import StrataSteps, filter_in_strata, path_in_strata
 from engine.filters.taped import filter_by_tape
 from engine.kernels.gaussian import psd_cholesky_many
-from engine.kernels.moments import gaussian_update, observe, predict, sigma_points, slopes
+from engine.kernels.moments import keep_reading, observe, predict, sigma_points, slopes
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown
@@ -183,28 +183,46 @@ def _nothing_kept(model: MixedModel, T: int) -> dict[str, Array]:
 def _keep(run: FilterSteps, kept: dict[str, Array]) -> float:
     """All steps of one filter, ``kept``, and its log-likelihood."""
     model, series, T = run.model, run.series, len(run.series)
-    total = 0.0
-    m, P = run.start()
-    for t in range(T):
-        y_mean, S, cross = run.through(run.observation, t, m, P)
-        kept["predicted"][t], kept["P_predicted"][t] = m[0], P[0]
-        kept["innovations"][t], kept["S"][t] = series.y[t] - y_mean[0], S[0]
-        kept["H"][t] = slopes(cross[0], P[0])
-        there = np.flatnonzero(series.observed[t])
-        if there.size:
-            gain = np.linalg.solve(S[0][np.ix_(there, there)], cross[0][there])
-            kept["K"][t][:, there] = gain.T
-        m, P, term = gaussian_update(m, P, y_mean, S, cross, series.y[t])
-        kept["filtered"][t], kept["P_filtered"][t] = m[0], P[0]
-        total += float(term[0])
-        if not (np.isfinite(m).all() and np.isfinite(total)):
-            raise lost_at(model, series, t)
-        if t < T - 1:
-            before = P
-            m, P, cross = run.through(run.transition, t, m, P)
-            kept["F"][t] = slopes(cross[0], before[0])
+    moments = [kept[name] for name in ("predicted", "P_predicted", "filtered", "P_filtered")]
+    gains = [kept[name] for name in "HKF"]
+    found = filter_by_tape(run, None, moments, gains)
+    if found is None:
+        found = _kept_by_calls(run, moments, gains)
+    kept["innovations"][:], kept["S"][:] = found[0][:, 0], found[1][:, 0]
     kept["S_predicted"] = kept["S"]
-    return total
+    with np.errstate(over="ignore"):
+        total = found[2][:, 0].cumsum()
+    here = np.isfinite(total) & np.isfinite(kept["filtered"]).all(axis=1)
+    if not here.all():
+        raise lost_at(model, series, int(np.argmin(here)))
+    return float(total[T - 1])
+
+
+def _kept_by_calls(
+    run: FilterSteps, moments: list[Array], gains: list[Array]
+) -> tuple[Array, Array, Array]:
+    """The same as :func:`engine.filters.taped.filter_by_tape` of one filter; ends where it is lost."""
+    model, series, T = run.model, run.series, len(run.series)
+    predicted, P_predicted, filtered, P_filtered = moments
+    innovations, S = np.empty((T, 1, model.ny)), np.empty((T, 1, model.ny, model.ny))
+    terms = np.zeros((T, 1))
+    m, P = run.start()
+    a, z, V, offsets = sigma_points(m, P, model.na)
+    rows = a.reshape(a.shape[1], model.na)
+    for t in range(T):
+        predicted[t], P_predicted[t] = m[0], P[0]
+        cross = observe(
+            t, *run.observation(t, rows), a, z, V, offsets, m, P, series.y, innovations, S, terms
+        )
+        filtered[t], P_filtered[t] = m[0], P[0]
+        keep_reading(t, cross[0], S[t, 0], series.y[t], tuple(moments), tuple(gains))
+        if not (np.isfinite(m).all() and np.isfinite(terms[t, 0])):
+            terms[t] = np.nan
+            break
+        if t < T - 1:
+            cross = predict(*run.transition(t, rows), a, z, V, offsets, m, P)
+            gains[2][t] = slopes(cross[0], P_filtered[t])
+    return innovations, S, terms
 
 
 def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
-from engine.kernels.moments import gaussian_update, slopes
+from engine.filters.taped import SHORTEST, on_tape
+from engine.kernels.moments import gaussian_update, sigma_points, slopes
 from engine.kernels.strata import filter_strata, merge
+from engine.kernels.tape import filter_strata_taped
 from engine.statespace.model import Array, LinearGaussian, MixedModel
 from engine.statespace.points import Points
 
@@ -37,7 +39,7 @@ class StrataSteps(FilterSteps):
         super().__init__(model, thetas, series)
         states = [*model.nonlinear]
         self._at = [states.index(one.state) for one in model.random_scales]
-        self._others = np.delete(np.arange(model.nx), self._at)
+        self.others = np.delete(np.arange(model.nx), self._at)
         self.na = model.na - len(self._at)
         each = [_strata(model, theta) for theta in thetas.thetas]
         self._g = np.concatenate([g for g, _ in each])
@@ -47,17 +49,17 @@ class StrataSteps(FilterSteps):
     def start(self) -> tuple[Array, Array]:
         """Mean (K J, n) and covariance (K J, n, n) of the n other states before any measurement."""
         m, P = super().start()
-        return self.renewed(m[:, self._others], self._apart(P))
+        return self.renewed(m[:, self.others], self._apart(P))
 
     def observation(self, t: int, a: Array) -> tuple[Array, Array, Array]:
         """h, C and R at the points a (K J S, na) of the others."""
-        return super().observation(t, self._with_g(a))
+        return super().observation(t, self.with_g(a))
 
     def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
         """f, A and Q of the others at their points a (K J S, na)."""
-        f, A, Q = super().transition(t, self._with_g(a))
-        rows = np.ascontiguousarray(f[:, self._others])
-        return rows, np.ascontiguousarray(A[:, self._others]), self._apart(Q)
+        f, A, Q = super().transition(t, self.with_g(a))
+        rows = np.ascontiguousarray(f[:, self.others])
+        return rows, np.ascontiguousarray(A[:, self.others]), self._apart(Q)
 
     def at(self, rows: NDArray[np.intp], transition: bool) -> LinearGaussian:
         """Observation or transition of linear others at many rows, (B, K J, .) and (B or 1, K J, ., .)."""
@@ -69,7 +71,7 @@ class StrataSteps(FilterSteps):
         f, A, Q = (_side_by_side(parts) for parts in zip(*each, strict=True))
         if not transition:
             return f, A, Q
-        others = self._others
+        others = self.others
         f, A, Q = f[:, :, others], A[:, :, others], Q[:, :, others[:, None], others]
         return np.ascontiguousarray(f), np.ascontiguousarray(A), np.ascontiguousarray(Q)
 
@@ -117,26 +119,26 @@ class StrataSteps(FilterSteps):
         row = kept[name][t]
         row[...] = 0.0
         if name == "H":
-            row[:, self._others] = values
+            row[:, self.others] = values
         elif name in ("predicted", "filtered", "K"):
-            row[self._others] = values
+            row[self.others] = values
         else:
-            row[self._others[:, None], self._others] = values
+            row[self.others[:, None], self.others] = values
         if name in ("predicted", "filtered"):
             row[self._at] = np.exp(self.log_shares[0]) @ self._g
         if name in ("P_predicted", "P_filtered"):
             row[self._at, self._at] = 1.0
 
-    def _with_g(self, a: Array) -> Array:
+    def with_g(self, a: Array) -> Array:
         """Points of all nonlinear states, from those of the others."""
         whole = np.empty((len(a), self.model.na))
-        whole[:, self._others[: self.na]] = a
+        whole[:, self.others[: self.na]] = a
         whole[:, self._at] = np.repeat(self._g, len(a) // len(self._g), axis=0)
         return whole
 
     def _apart(self, P: Array) -> Array:
         """The rows and columns of the others."""
-        return np.ascontiguousarray(P[:, self._others[:, None], self._others])
+        return np.ascontiguousarray(P[:, self.others[:, None], self.others])
 
 
 def _side_by_side(parts: Sequence[Array]) -> Array:
@@ -164,7 +166,10 @@ def filter_in_strata(run: StrataSteps) -> tuple[Array, Array, Array]:
     series, T, (K, J), ny = run.series, len(run.series), run.log_shares.shape, run.model.ny
     y_mean, S = np.zeros((T, K * J, ny)), np.zeros((T, K * J, ny, ny))
     log_w, terms = np.empty((T, K, J)), np.zeros((T, K))
-    (_all_at_once if run.na == 0 else _step_by_step)(run, y_mean, S, log_w, terms)
+    if run.na == 0:
+        _all_at_once(run, y_mean, S, log_w, terms)
+    elif not _by_tape(run, y_mean, S, log_w, terms):
+        _step_by_step(run, y_mean, S, log_w, terms)
     innovations, shown = np.full((T, K, ny), np.nan), np.zeros((T, K, ny, ny))
     there = np.flatnonzero(np.asarray(series.observed).any(axis=1))
     predicted, shown[there] = run.seen(y_mean[there], S[there], log_w[there])
@@ -187,6 +192,22 @@ def _step_by_step(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms
         if t < T - 1:
             m, P, _ = run.through(run.transition, t, m, P)
     terms[~measured] = 0.0  # where the shares' sum is 1 but for rounding
+
+
+def _by_tape(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Array) -> bool:
+    """The same in one call of a kernel; False where the model's functions must be called."""
+    if len(run.series) < SHORTEST:
+        return False
+    m, P = run.start()
+    points = sigma_points(m, P, run.na)[0]
+    whole = run.with_g(points.reshape(-1, run.na))
+    tapes = on_tape(run, whole)
+    if tapes is None:
+        return False
+    strata = run.log_shares, whole, run.others
+    found = y_mean, S, log_w, terms
+    done = filter_strata_taped(*tapes.arguments, (m, P), strata, run.series.y, *found)
+    return tapes.hold(done, terms)
 
 
 def _all_at_once(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Array) -> None:

@@ -6,8 +6,9 @@ say something else the tape is given up, and the filter goes on by calls.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -91,62 +92,89 @@ def _same(taped: Array, called: Array) -> bool:
     return bool(np.all((apart <= SAME * sizes) | (taped == called) | neither))
 
 
+@dataclass
+class Tapes:
+    """Both functions on tape, for one filter ``run``: what happens at each ``reading``, what at each step."""
+
+    run: FilterSteps
+    reading: _Function
+    moving: _Function
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """The first three of the kernels: both tapes, and the record."""
+        series, moving = self.run.series, self.moving
+        begins = np.zeros(len(series), dtype=np.bool_)
+        begins[list(series.begins)] = True
+        record = self.reading.u, moving.u, moving.t, moving.dt, begins
+        return self.reading.arguments, moving.arguments, record
+
+    def begin(self, a: Array) -> bool:
+        """Whether they are what calls say at the first row, at states a (K S, na); well known ones are."""
+        reading, moving = self.reading, self.moving
+        return min(reading.kept.passes, moving.kept.passes) >= NEW or (
+            reading.agrees(0, a) and (1 in self.run.series.begins or moving.agrees(0, a))
+        )
+
+    def hold(self, done: bool, terms: Array) -> bool:
+        """Whether they were gone through to the end (``done``), and are there what calls say."""
+        both, series = (self.reading, self.moving), self.run.series
+        T = len(series)
+        if not done:
+            for function in both:
+                function.kept.leave()
+            return False
+        if any(function.lines.raises for function in both) and not np.isfinite(terms).all():
+            return False  # of parameters that lose the filter calls tell why
+        if not (
+            self.reading.agrees(T - 1) and (T - 1 in series.begins or self.moving.agrees(T - 2))
+        ):
+            return False
+        for function in both:
+            function.kept.passes += 1
+        return True
+
+
 def filter_by_tape(
-    run: FilterSteps, visited: tuple[Array, Array] | None
+    run: FilterSteps,
+    visited: tuple[Array, Array] | None,
+    moments: Sequence[Array] = (),
+    gains: Sequence[Array] = (),
 ) -> tuple[Array, Array, Array] | None:
     """innovations (T, K, ny), S (T, K, ny, ny) and terms (T, K) of all filters; None where calls are needed.
 
-    ``visited`` as in :func:`engine.filters.sigma_point.run_filter`.
+    ``visited`` as in :func:`engine.filters.sigma_point.run_filter`; ``moments`` and ``gains`` are filled, as
+    :func:`engine.kernels.tape.filter_taped` has them.
     """
     model, series = run.model, run.series
-    T, K, ny, na = len(series), run.thetas.K, model.ny, model.na
+    T, K, nx, ny, na = len(series), run.thetas.K, model.nx, model.ny, model.na
     if T < SHORTEST:
         return None
     m, P = run.start()
     a, z, V, offsets = sigma_points(m, P, na)
-    both = _on_tape(run, a[0, 0], a.shape[1])
-    if both is None:
+    tapes = on_tape(run, a.reshape(K * a.shape[1], na))
+    if tapes is None:
         return None
-    reading, moving = both
-    first = np.array(a.reshape(K * a.shape[1], na))
-    if min(reading.kept.passes, moving.kept.passes) < NEW and not (
-        reading.agrees(0, first) and (1 in series.begins or moving.agrees(0, first))
-    ):
-        return None
-    innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
-    begins = np.zeros(T, dtype=np.bool_)
-    begins[list(series.begins)] = True
+    found = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
     nowhere = np.empty((0, a.shape[1], na))
+    if not moments:
+        moments = [np.empty((0, nx)), np.empty((0, nx, nx))] * 2
+        gains = np.empty((0, ny, nx)), np.empty((0, nx, ny)), np.empty((0, nx, nx))
     done = filter_taped(
-        reading.arguments,
-        moving.arguments,
-        reading.u,
-        moving.u,
-        moving.t,
-        moving.dt,
-        begins,
+        *tapes.arguments,
         run.start(),
         (a, z, V, offsets, m, P),
         series.y,
-        (innovations, S, terms),
+        found,
         (nowhere, nowhere) if visited is None else visited,
+        tuple(moments),
+        tuple(gains),
     )
-    raises = any(function.lines.raises for function in both)
-    if not done:
-        for function in both:
-            function.kept.leave()
-        return None
-    if raises and not np.isfinite(terms).all():
-        return None  # of parameters that lose the filter calls tell why
-    if not (reading.agrees(T - 1) and (T - 1 in series.begins or moving.agrees(T - 2))):
-        return None
-    for function in both:
-        function.kept.passes += 1
-    return innovations, S, terms
+    return found if tapes.hold(done, found[2]) else None
 
 
-def _on_tape(run: FilterSteps, a: Array, copies: int) -> tuple[_Function, _Function] | None:
-    """What is gone through at each reading and at each step; recorded at states a (na,), the first time."""
+def on_tape(run: FilterSteps, a: Array) -> Tapes | None:
+    """What is gone through at states such as a (K S, na); recorded at the first of them, the first time."""
     model, series = run.model, run.series
     nx, ny, nz = model.nx, model.ny, model.nz
     times, steps = np.array(run.times), np.array([*run.steps, 0.0])
@@ -154,23 +182,25 @@ def _on_tape(run: FilterSteps, a: Array, copies: int) -> tuple[_Function, _Funct
     record = model.record(run.thetas.thetas[0])
     found = []
     for function, call, u, shapes in (
-        (model.observations, run.observation, series.u, ((ny,), (ny, nz), (ny, ny))),
-        (model.transitions, run.transition, series.u_step, ((nx,), (nx, nz), (nx, nx))),
+        (model.observations, FilterSteps.observation, series.u, ((ny,), (ny, nz), (ny, ny))),
+        (model.transitions, FilterSteps.transition, series.u_step, ((nx,), (nx, nz), (nx, nx))),
     ):
         u = np.ascontiguousarray(u, dtype=float)
         if function not in _TAPES:
             _TAPES[function] = _Kept(
-                record_tape(function, a, u[0], run.times[0], run.steps[0], record)
+                record_tape(function, a[0], u[0], run.times[0], run.steps[0], record)
             )
         kept = _TAPES[function]
         if kept.tape is None:
             return None
+        copies, step = len(a) // run.thetas.K, run.steps[0] if even else None
         try:
-            lines = lines_of(kept.tape, run.thetas.thetas, copies, run.steps[0] if even else None)
+            lines = lines_of(kept.tape, run.thetas.thetas, copies, step)
         except LeftError:
             return None
         if lines is None:
             kept.tape = None
             return None
-        found.append(_Function(kept, lines, call, u, times, steps, shapes))
-    return found[0], found[1]
+        found.append(_Function(kept, lines, partial(call, run), u, times, steps, shapes))
+    tapes = Tapes(run, *found)
+    return tapes if tapes.begin(a.copy()) else None

@@ -189,20 +189,22 @@ def observe(t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
     """Row t of y: :func:`transform`, :func:`gaussian_update`, and the new :func:`sigma_points`, in place.
 
     h, C, R at the points a, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
-    (T, K, ny, ny) and ``log_p`` (T, K) are filled.
+    (T, K, ny, ny) and ``log_p`` (T, K) are filled. Returns Cov(y_t, x_t) (K, ny, nx).
     """
     na = a.shape[2]
     y_mean, S_t, cross = transform(h, C, R, z, V, offsets, na)
     m_new, P_new, log_p_t = gaussian_update(m, P, y_mean, S_t, cross, y[t])
     innovations[t], S[t], log_p[t] = y[t] - y_mean, S_t, log_p_t
     _renew(m_new, P_new, a, z, V, offsets, m, P)
+    return cross
 
 
 @njit(cache=True, error_model="numpy")
 def predict(f, A, Q, a, z, V, offsets, m, P):
-    """One step ahead: :func:`transform` and the new :func:`sigma_points`, in place."""
-    m_new, P_new, _ = transform(f, A, Q, z, V, offsets, a.shape[2])
+    """One step ahead: :func:`transform` and the new :func:`sigma_points`, in place; Cov(x_{t+1}, x_t)."""
+    m_new, P_new, cross = transform(f, A, Q, z, V, offsets, a.shape[2])
     _renew(m_new, P_new, a, z, V, offsets, m, P)
+    return cross
 
 
 @njit(cache=True, error_model="numpy")
@@ -230,3 +232,28 @@ def slopes(cross, P):
         for c in range(nx):
             J[r, c] = out[c]
     return J
+
+
+@njit(cache=True, error_model="numpy")
+def keep_reading(t, cross, S, y, moments, gains):
+    """Row t of what one filter kept, after :func:`observe`: slopes of y_t and the gain from Cov(y_t, x_t).
+
+    ``moments`` are predicted m (T, nx) and P, filtered m and P; ``gains`` H (T, ny, nx), K (T, nx, ny), 0 for
+    missing channels, and F.
+    """
+    P = moments[1][t]
+    H, K, _ = gains
+    H[t] = slopes(cross, P)
+    K[t] = 0.0
+    there = np.flatnonzero(~np.isnan(y))
+    n = there.size
+    own, to_x = np.empty((n, n)), np.empty((P.shape[0], n))
+    for p in range(n):
+        for q in range(n):
+            own[p, q] = S[there[p], there[q]]
+        for c in range(P.shape[0]):
+            to_x[c, p] = cross[there[p], c]
+    gain = slopes(to_x, own)
+    for p in range(n):
+        for c in range(P.shape[0]):
+            K[t, c, there[p]] = gain[c, p]

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 import engine.filters.sigma_point
+import engine.filters.strata
 from engine.data.joined import joined
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import setting_for
 from engine.filters.filter_steps import FilterSteps, Thetas
-from engine.filters.sigma_point import moment_filter, run_on_tape
+from engine.filters.heavy_tails import with_mixture
+from engine.filters.sigma_point import moment_filter, moment_path, run_on_tape
 from engine.models.registry import get_model
 from engine.statespace.continuous import continuous
 from engine.statespace.model import Gaussian, MixedModel, Parameter
@@ -103,7 +105,7 @@ def test_with_effects_it_is_what_calls_make(name, every, monkeypatch):
     for effect in [None, *effects]:
         extended = model if effect is None else effect.apply(model)
         if extended.random_scales:
-            continue  # has a filter of its own
+            continue  # has a filter of its own, see below
         taped, called = both(extended, thetas_of(extended, 2), series, monkeypatch)
         if taped is None:
             without.append("" if effect is None else effect.name)
@@ -111,6 +113,43 @@ def test_with_effects_it_is_what_calls_make(name, every, monkeypatch):
             assert_same(taped, called)
     assert len(without) <= 5, without  # nearly all that diagnoses ask for is on tape
     assert "" not in without
+
+
+@pytest.mark.parametrize(
+    ("name", "channel"), [("pendulum", "encoder"), ("pendulum", "rate"), ("mixed-4", "z1")]
+)
+def test_outliers_are_as_well(name, channel, monkeypatch):
+    model = pendulum() if name == "pendulum" else get_model(name)
+    where = "measurement" if channel in model.outputs else "dynamics"
+    extended = with_mixture(model, where, channels=[channel])
+    series = joined(series_for(model, 5), series_for(model, 6, even=False))
+    thetas = thetas_of(extended, 4)
+    gone = []
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.filters.strata, "_step_by_step", lambda *_: gone.append(1))
+        taped = moment_filter(extended, thetas, series)
+    assert not gone
+    monkeypatch.setattr(engine.filters.strata, "on_tape", lambda *_: None)
+    called = moment_filter(extended, thetas, series)
+    assert_same(taped, called)
+    np.testing.assert_allclose(taped.innovations, called.innovations, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["mixed-4", "pendulum", "oscillator"])
+def test_so_is_the_way_of_one_filter(name, monkeypatch):
+    model = pendulum() if name == "pendulum" else get_model(name)
+    series = joined(series_for(model, 5), series_for(model, 6, even=name == "oscillator"))
+    theta = thetas_of(model, 4)[0]
+    gone = []
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.filters.sigma_point, "_kept_by_calls", lambda *_: gone.append(1))
+        taped = moment_path(model, theta, series)
+    assert not gone
+    monkeypatch.setattr(engine.filters.sigma_point, "filter_by_tape", lambda *_: None)
+    called = moment_path(model, theta.copy() * (1.0 + 1e-15), series)  # it is not kept
+    for name, values in vars(called).items():
+        scale = np.nanmax(np.abs(values))
+        np.testing.assert_allclose(getattr(taped, name), values, rtol=1e-8, atol=1e-9 * scale)
 
 
 @pytest.mark.parametrize("name", ["mixed-4", "pendulum"])
