@@ -101,7 +101,7 @@ class Tapes:
     moving: _Function
 
     @property
-    def arguments(self) -> tuple[Any, ...]:
+    def arguments(self) -> tuple[Any, Any, Any]:
         """The first three of the kernels: both tapes, and the record."""
         series, moving = self.run.series, self.moving
         begins = np.zeros(len(series), dtype=np.bool_)
