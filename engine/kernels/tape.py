@@ -44,10 +44,11 @@ CODES = {name: code for code, name in enumerate(NAMES)}
 
 
 @njit(cache=True, error_model="numpy")
-def go_through(tape, links, W):
+def go_through(tape, links, W, lost):
     """Do the operations (n, 5): code, three operands, result; whether all conditions are as they were recorded.
 
-    ``links`` (k, .) are the operands of those that take matrices.
+    ``links`` (k, .) are the operands of those that take matrices. ``lost`` are the number of states, the first
+    rows of W, and marks (M,): of rows whose states are no numbers, and which another condition would hold for.
     """
     M = W.shape[1]
     for line in range(tape.shape[0]):
@@ -131,12 +132,12 @@ def go_through(tape, links, W):
                 out[m] = 1.0 if true else 0.0
         elif code == CHECK_FINITE:
             for m in range(M):
-                if not math.isfinite(x[m]):
+                if not (math.isfinite(x[m]) or _is_lost(m, W, lost)):
                     return False
                 out[m] = x[m]
         elif code >= HOLDS:
             for m in range(M):
-                if (x[m] != 0.0) != (code == HOLDS):
+                if (x[m] != 0.0) != (code == HOLDS) and not _is_lost(m, W, lost):
                     return False
         elif code == OVER_A_STEP:
             _over_a_step(links[tape[line, 1]], W)
@@ -144,6 +145,16 @@ def go_through(tape, links, W):
             for m in range(M):
                 out[m] = _seldom(code, x[m], y[m])
     return True
+
+
+@njit(cache=True, error_model="numpy")
+def _is_lost(m, W, lost):
+    """Whether row m has states that are no numbers, the first rows of W; it is marked then."""
+    na, marks = lost
+    for i in range(na):
+        if not math.isfinite(W[i, m]):
+            marks[m] = True
+    return marks[m]
 
 
 @njit(cache=True, error_model="numpy")
@@ -254,10 +265,13 @@ def evaluate(tape, links, W, places, into, a, u, t, dt):
     for j in range(u.size):
         W[na + j, :] = u[j]
     W[na + u.size, :], W[na + u.size + 1, :] = t, dt
-    if not go_through(tape, links, W):
+    lost = np.zeros(M, dtype=np.bool_)
+    if not go_through(tape, links, W, (na, lost)):
         return False
     for j in range(3):
         _put(places[j], W, into[j])
+    for m in np.flatnonzero(lost):
+        into[0][m] = np.nan
     return True
 
 

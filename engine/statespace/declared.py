@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from keyword import iskeyword
-from typing import Any, SupportsFloat
+from typing import Any
 
 from engine.errors import ModelError
 from engine.statespace.base import Parameter
@@ -48,7 +48,7 @@ def check_declared(
                 "that is no keyword and does not begin with an underscore"
             )
         for what, value in zip(NUMBERS, (p.default, p.scale, *p.bounds), strict=True):
-            if isinstance(value, str) or not isinstance(value, SupportsFloat):
+            if isinstance(value, str) or not hasattr(value, "__float__"):
                 raise ModelError(
                     f"model '{name}', parameter '{p.name}': its {what} is {value!r}; a number is needed"
                 )
