@@ -79,7 +79,7 @@ class _Function:
             given = (*self.arguments[:-1], a, self.u[t], float(self.t[t]), float(self.dt[t]))
             if not evaluate(*given):
                 return True  # nothing is made of it
-        there = np.isfinite(a).all(axis=1)  # nothing is made of what others say
+        there = np.asarray(np.isfinite(a).all(axis=1))  # nothing is made of what others say
         pairs = zip(self.results, self.call(t, a), strict=True)
         if not all(_same(taped, called, there) for taped, called in pairs):
             self.kept.tape = None

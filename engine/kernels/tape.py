@@ -270,8 +270,8 @@ def evaluate(tape, links, W, places, into, a, u, t, dt):
         return False
     for j in range(3):
         _put(places[j], W, into[j])
-    for m in np.flatnonzero(lost):
-        into[0][m] = np.nan
+    for row in np.flatnonzero(lost):
+        into[0][row] = np.nan
     return True
 
 

@@ -209,17 +209,16 @@ class Setting:
         """
         if self.substeps == 1:
             return True
-        phase = (np.asarray(t, dtype=float) - self.span[0]) / self.dt
-        near = np.abs(phase - np.round(phase)) < ON_TIME + 1e-9 * np.abs(phase)
-        return near if near.ndim else bool(near)
+        phase = (t - self.span[0]) / self.dt
+        return np.abs(phase - np.rint(phase)) < ON_TIME + 1e-9 * np.abs(phase)
 
     def part_of_sample(self, t: Any, dt: Any) -> tuple[Any, Any]:
         """From where to where of a sample, 0 to 1, a step from t goes; all of it unless times are refined."""
         if self.substeps == 1:
             return 0.0, 1.0
-        phase = (np.asarray(t, dtype=float) - self.span[0]) / self.dt
+        phase = (t - self.span[0]) / self.dt
         begin = np.maximum(phase - np.floor(phase + ON_TIME + 1e-9 * np.abs(phase)), 0.0)
-        return begin, begin + np.asarray(dt) / self.dt
+        return begin, begin + dt / self.dt
 
     # ---- channels -----------------------------------------------------------------------------
 
