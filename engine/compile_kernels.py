@@ -35,7 +35,6 @@ from engine.filters.heavy_tails import with_mixture
 from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
 from engine.filters.sigma_point import moment_filter, moment_path
-from engine.filters.taped import SHORTEST as SHORTEST_ON_TAPE
 from engine.kernels.excitation import within_bounds
 from engine.kernels.pairs import best_pairs
 from engine.kernels.sensitivities import footprints
@@ -45,11 +44,12 @@ from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import free_run
 from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import simulate
-from engine.simulation.whole_record import SHORTEST
+from engine.simulation.whole_record import SHORTEST, whole_record
 from engine.smoothers.linear_cost import rb_ffbsi_linear
 from engine.statespace.continuous import continuous
 from engine.statespace.discretization import discretize
 from engine.statespace.model import Gaussian, MixedModel
+from engine.statespace.on_tape import SHORTEST as SHORTEST_ON_TAPE
 
 
 def compiled_kernels() -> dict[str, set[Any]]:
@@ -108,6 +108,7 @@ def of_moments_and_runs() -> None:
     )
     decay.transition(np.ones((2, 1)), np.zeros(0), 0.0, 1.0, decay.record(decay.theta()))
     run = free_run(walk, None, Series(np.zeros(SHORTEST)))
+    whole_record(walk, run.theta, run.series, np.zeros(nx))
     first, x = np.arange(1), np.hstack((run.a, run.z))
     along = Along(walk, np.asarray(run.theta), run.series, x)
     along.by(first, first, np.full(1, 1e-5))

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
-from engine.filters.taped import SHORTEST, on_tape
+from engine.filters.taped import tapes_of
 from engine.kernels.moments import gaussian_update, sigma_points, slopes
 from engine.kernels.strata import filter_strata, merge
-from engine.kernels.tape import filter_strata_taped
+from engine.kernels.taped import filter_strata_taped
 from engine.statespace.model import Array, LinearGaussian, MixedModel
+from engine.statespace.on_tape import SHORTEST
 from engine.statespace.points import Points
 
 NUMBERS = 4_000_000  # in the arrays of one block of rows, at most
@@ -201,7 +202,7 @@ def _by_tape(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Arr
     m, P = run.start()
     points = sigma_points(m, P, run.na)[0]
     whole = run.with_g(points.reshape(-1, run.na))
-    tapes = on_tape(run, whole)
+    tapes = tapes_of(run, whole)
     if tapes is None:
         return False
     strata = run.log_shares, whole, run.others

@@ -1,4 +1,4 @@
-"""A tape of operations gone through for many rows at once, and the filter through two of them.
+"""A tape of operations gone through for many rows at once.
 
 A tape (A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed. 2008, ch. 4) is what a model's function
 calculates, one operation a line: a code, up to three operands and the result, each a row of the work space
@@ -12,16 +12,6 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.kernels.moments import (
-    gaussian_update,
-    keep_reading,
-    observe,
-    predict,
-    sigma_points,
-    slopes,
-    transform,
-)
-from engine.kernels.strata import merge
 from engine.kernels.van_loan import BLOCK, integrals
 
 # Codes of operations: functions of NumPy by their names, and what else there is.
@@ -273,114 +263,3 @@ def evaluate(tape, links, W, places, into, a, u, t, dt):
     for row in np.flatnonzero(lost):
         into[0][row] = np.nan
     return True
-
-
-@njit(cache=True, error_model="numpy")
-def filter_taped(reading, moving, record, start, state, y, found, visited, moments, gains):
-    """All rows of :func:`observe` and :func:`predict` through two tapes; False where a check fails.
-
-    ``reading`` and ``moving`` are the arguments of :func:`evaluate` but the last four, with the results as
-    matrices beside them; ``record`` the inputs u, u_step, times, steps and where x_1 begins again; ``state`` is
-    a, z, V, offsets, m, P, filled in place, ``start`` m and P of x_1; ``found`` innovations, S and terms.
-    ``visited``, each (T, S, na) or empty, are the points of the first copy, ``moments`` and ``gains`` as
-    :func:`engine.kernels.moments.keep_reading` has them, or empty.
-    """
-    tape_y, links_y, W_y, places_y, flat_y, (h, C, R) = reading
-    tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
-    u, u_step, t, dt, begins = record
-    a, z, V, offsets, m, P = state
-    innovations, S, terms = found
-    predicted, P_predicted, filtered, P_filtered = moments
-    K, points, na = a.shape
-    rows = a.reshape(K * points, na)
-    nothing = np.zeros((1, m.shape[1], z.shape[2]))
-    keeps = predicted.shape[0] > 0
-    for k in range(len(y)):
-        if visited[0].shape[0]:
-            visited[0][k] = a[0]
-        if not evaluate(tape_y, links_y, W_y, places_y, flat_y, rows, u[k], t[k], 0.0):
-            return False
-        if keeps:
-            predicted[k], P_predicted[k] = m[0], P[0]
-        cross = observe(k, h, C, R, a, z, V, offsets, m, P, y, innovations, S, terms)
-        if keeps:
-            filtered[k], P_filtered[k] = m[0], P[0]
-            keep_reading(k, cross[0], S[k, 0], y[k], moments, gains)
-        if visited[0].shape[0]:
-            visited[1][k] = a[0]
-        if k == len(y) - 1:
-            break
-        if begins[k + 1]:
-            again, Q_1 = np.empty((K * points, m.shape[1])), np.empty((K * points, *P.shape[1:]))
-            for row in range(K * points):
-                again[row], Q_1[row] = start[0][row // points], start[1][row // points]
-            cross = predict(again, nothing, Q_1, a, z, V, offsets, m, P)
-        else:
-            if not evaluate(tape_x, links_x, W_x, places_x, flat_x, rows, u_step[k], t[k], dt[k]):
-                return False
-            cross = predict(f, A, Q, a, z, V, offsets, m, P)
-        if keeps:
-            gains[2][k] = slopes(cross[0], P_filtered[k])
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def filter_strata_taped(reading, moving, record, start, strata, y, y_mean, S, log_w, terms):
-    """The filter of :mod:`engine.filters.strata` through two tapes; False where a check fails.
-
-    ``start`` are m (K J, n) and P of the other states' x_1; ``strata`` the logarithms of their shares (K, J),
-    points (K J S, na) of all nonlinear states in which those of the random scales stand, and where the other
-    states are among all. The rest as :func:`filter_taped` and :func:`engine.kernels.strata.filter_strata`.
-    """
-    tape_y, links_y, W_y, places_y, flat_y, (h, C, R) = reading
-    tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
-    u, u_step, t, dt, begins = record
-    log_shares, whole, others = strata
-    m, P = start[0].copy(), start[1].copy()
-    n = others.size
-    na = n - A.shape[2]
-    moved, A_n, Q_n = (
-        np.empty((f.shape[0], n)),
-        np.empty((A.shape[0], n, A.shape[2])),
-        np.empty((Q.shape[0], n, n)),
-    )
-    for k in range(len(y)):
-        if np.isnan(y[k]).all():
-            log_w[k] = log_shares
-            merge(m, P, log_w[k], terms[k])
-            terms[k] = 0.0
-        else:
-            a, z, V, offsets = sigma_points(m, P, na)
-            _into(whole, others, a)
-            if not evaluate(tape_y, links_y, W_y, places_y, flat_y, whole, u[k], t[k], 0.0):
-                return False
-            y_mean[k], S[k], cross = transform(h, C, R, z, V, offsets, na)
-            m[:], P[:], log_p = gaussian_update(m, P, y_mean[k], S[k], cross, y[k])
-            log_w[k] = log_p.reshape(log_shares.shape) + log_shares
-            merge(m, P, log_w[k], terms[k])
-        if k == len(y) - 1:
-            break
-        if begins[k + 1]:
-            m[:], P[:] = start[0], start[1]
-            continue
-        a, z, V, offsets = sigma_points(m, P, na)
-        _into(whole, others, a)
-        if not evaluate(tape_x, links_x, W_x, places_x, flat_x, whole, u_step[k], t[k], dt[k]):
-            return False
-        for i in range(n):
-            moved[:, i] = f[:, others[i]]
-            A_n[:, i] = A[:, others[i]]
-            for j in range(n):
-                Q_n[:, i, j] = Q[:, others[i], others[j]]
-        m[:], P[:], _ = transform(moved, A_n, Q_n, z, V, offsets, na)
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _into(whole, others, a):
-    """The points a (K, S, n) of some states into those of all, (K S, na)."""
-    copies, points, n = a.shape
-    for i in range(n):
-        for k in range(copies):
-            for s in range(points):
-                whole[k * points + s, others[i]] = a[k, s, i]

@@ -13,6 +13,7 @@ from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.randomness import Rng, generator
 from engine.simulation.steps import observations
+from engine.simulation.taped import run_by_tape
 from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import FIRST_Z, READING, STEP, check_start, possible_noise
 from engine.statespace.model import Array, MixedModel, ThetaLike
@@ -195,15 +196,21 @@ def _states(
 ) -> tuple[Array, Array]:
     """States a (T, K, na), z (T, K, nz) from x1 (K, nx), with noise where ``rng`` is given.
 
-    A run ``alone`` without noise is found as a whole as far as that goes, the rest by a loop over time.
+    Without noise they are found in one call where the step is on tape; else a run ``alone`` is found as a
+    whole as far as that goes, the rest by a loop over time.
     """
     na, inputs = model.na, series.u_step
+    lengths = step_lengths(series)
+    if rng is None:
+        taped = run_by_tape(model, record, series, x1, lengths)
+        if taped is not None:
+            return taped[..., :na], taped[..., na:]
     known = whole_record(model, record, series, x1[0], guess)[:, None] if alone else x1[None]
     a_all, z_all = (np.empty((len(series), len(x1), n)) for n in (na, model.nz))
     a_all[: len(known)], z_all[: len(known)] = known[..., :na], known[..., na:]
     if len(known) == len(series):
         return a_all, z_all
-    steps, times = step_lengths(series).tolist(), series.t.tolist()
+    steps, times = lengths.tolist(), series.t.tolist()
     for t in range(len(known) - 1, len(series) - 1):
         f, A, Q = model.transition(a_all[t], inputs[t], times[t], steps[t], record)
         x = f + through(A, z_all[t])

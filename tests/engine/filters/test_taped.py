@@ -129,7 +129,7 @@ def test_outliers_are_as_well(name, channel, monkeypatch):
         patch.setattr(engine.filters.strata, "_step_by_step", lambda *_: gone.append(1))
         taped = moment_filter(extended, thetas, series)
     assert not gone
-    monkeypatch.setattr(engine.filters.strata, "on_tape", lambda *_: None)
+    monkeypatch.setattr(engine.filters.strata, "tapes_of", lambda *_: None)
     called = moment_filter(extended, thetas, series)
     assert_same(taped, called)
     np.testing.assert_allclose(taped.innovations, called.innovations, rtol=1e-8, atol=1e-8)

@@ -1,0 +1,53 @@
+"""Free runs without noise of a model whose step is on tape: all time steps in one call of a kernel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.kernels.taped import run_taped
+from engine.statespace.model import Array, MixedModel
+from engine.statespace.on_tape import SHORTEST, on_tape
+from engine.statespace.shapes import stacked
+
+
+def run_by_tape(
+    model: MixedModel, record: Any, series: Series, x1: Array, lengths: Array
+) -> Array | None:
+    """The states (T, K, nx) of runs from x1 (K, nx) over steps of ``lengths`` (T - 1,).
+
+    The fields of ``record`` are numbers or (K,). None where the step must be called.
+    """
+    T, K, na = len(series), len(x1), model.na
+    if T < SHORTEST or not np.isfinite(x1).all():
+        return None
+    each = [np.broadcast_to(np.asarray(value, dtype=float), (K,)) for value in record]
+    thetas = np.array(each).reshape(len(each), K).T
+    theta = record if all(np.ndim(value) == 0 for value in record) else model.record(thetas[0])
+    inputs = np.ascontiguousarray(series.u_step, dtype=float)
+    times, steps = series.t.tolist(), lengths.tolist()
+
+    def call(t: int, a: Array) -> tuple[Array, Array, Array]:
+        f, A, Q = model.transition(a, inputs[t], times[t], steps[t], record)
+        return f, stacked(A), stacked(Q)
+
+    rows = inputs, np.array(times), np.array([*steps, 0.0])
+    moving = on_tape(model.transitions, call, rows, x1[:, :na], thetas, theta)
+    if moving is None or not moving.begins_well(x1[:, :na]):
+        return None
+    X = np.empty((T, K, model.nx))
+    X[0] = x1
+    done = run_taped(moving.arguments, rows, X)
+    if not done:
+        moving.note(done)
+        return None
+    lost = ~np.isfinite(X).all(axis=(1, 2))
+    if moving.lines.raises and lost.any():
+        return None  # of parameters with which it runs away calls tell why
+    last = int(np.argmax(lost)) - 1 if K == 1 and lost.any() else T - 2
+    if not moving.agrees(last):
+        return None
+    moving.note(done)
+    return X

@@ -1,0 +1,131 @@
+"""A model's functions on tape, for what goes through a whole record: filters and free runs.
+
+At the end of each pass, and at its beginning while a tape is new, the function is called as well and compared:
+where it says something else its tape is given up, and the work is done by calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.kernels.tape import evaluate
+from engine.statespace.evaluation import ModelFunction
+from engine.statespace.rows import Array
+from engine.statespace.tape import LeftError, Lines, Tape, lines_of, record_tape
+
+SHORTEST = 40  # rows of a record, below which recording takes longer than it saves
+MOST_LEFT = 2  # times that a tape is left before it was gone through as often
+NEW = 3  # passes of a tape, which are looked at from their beginning, too
+SAME = 1e-9  # of the largest entry of its kind
+
+
+@dataclass
+class _Kept:
+    """The ``tape`` of a function, None where it has none; how often it was gone through, and left."""
+
+    tape: Tape | None
+    passes: int = 0
+    left: int = 0
+
+
+_TAPES: WeakKeyDictionary[ModelFunction, _Kept] = WeakKeyDictionary()
+
+
+@dataclass
+class OnTape:
+    """A model's function on tape, for some rows; its ``call``, and inputs, times and steps of a record."""
+
+    kept: _Kept
+    lines: Lines
+    call: Callable[[int, Array], tuple[Array, Array, Array]]
+    u: Array
+    t: Array
+    dt: Array
+    shapes: Sequence[tuple[int, ...]]
+
+    @property
+    def results(self) -> tuple[Array, ...]:
+        """The three results at the last call, in their shapes."""
+        pairs = zip(self.lines.results, self.shapes, strict=True)
+        return tuple(flat.reshape(len(flat), *shape) for flat, shape in pairs)
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """As the kernels of :mod:`engine.kernels.taped` take it."""
+        lines = self.lines
+        return lines.codes, lines.links, lines.space, lines.places, lines.results, self.results
+
+    def agrees(self, t: int, a: Array | None = None) -> bool:
+        """Whether a call at row t says the same, at states a (K S, na) or the last; else there is no tape."""
+        lines = self.lines
+        if a is None:
+            a = lines.points
+        else:
+            given = (*self.arguments[:-1], a, self.u[t], float(self.t[t]), float(self.dt[t]))
+            if not evaluate(*given):
+                return True  # nothing is made of it
+        there = np.asarray(np.isfinite(a).all(axis=1))  # nothing is made of what others say
+        pairs = zip(self.results, self.call(t, a), strict=True)
+        if not all(_same(taped, called, there) for taped, called in pairs):
+            self.kept.tape = None
+        return self.kept.tape is not None
+
+    def begins_well(self, a: Array) -> bool:
+        """Whether it is what a call says at the first row, at states a (K S, na); asked while it is new."""
+        return self.kept.passes >= NEW or self.agrees(0, a)
+
+    def note(self, done: bool) -> None:
+        """Note whether it was gone through to the end; it is taken no more where most records leave it."""
+        if done:
+            self.kept.passes += 1
+        else:
+            self.kept.left += 1
+            if self.kept.left > max(MOST_LEFT, self.kept.passes):
+                self.kept.tape = None
+
+
+def _same(taped: Array, called: Array, there: NDArray[np.bool_]) -> bool:
+    """Whether results (1 or M, ...) are the same in rows ``there`` (M,), each entry by its size over all."""
+    taped, called = (x[there] if len(x) > 1 else x for x in (taped, called))
+    finite = np.isfinite(called)
+    sizes = np.abs(np.where(finite, called, 0.0)).max(axis=0, keepdims=True, initial=0.0)
+    neither = ~(finite | np.isfinite(taped))
+    return bool(np.all((np.abs(taped - called) <= SAME * sizes) | (taped == called) | neither))
+
+
+def on_tape(
+    function: ModelFunction,
+    call: Callable[[int, Array], tuple[Array, Array, Array]],
+    record: tuple[Array, Array, Array],
+    a: Array,
+    thetas: Array,
+    theta: Any,
+) -> OnTape | None:
+    """A function at states such as a (K S, na), S rows for each of ``thetas`` (K, n); recorded the first time.
+
+    ``record`` are its inputs (T, nu), the times (T,) and steps (T,) of a series, the last of no meaning;
+    ``call(t, a)`` calls it at row t, and ``theta`` is a record of the first parameters. None where it must be
+    called.
+    """
+    u, t, dt = record
+    first = u[0], float(t[0]), float(dt[0])
+    if function not in _TAPES:
+        _TAPES[function] = _Kept(record_tape(function, a[0], *first, theta))
+    kept = _TAPES[function]
+    if kept.tape is None:
+        return None
+    even = bool((dt[:-1] == dt[0]).all())
+    try:
+        lines = lines_of(kept.tape, thetas, len(a) // len(thetas), first[2] if even else None)
+    except LeftError:
+        return None
+    if lines is None:
+        kept.tape = None
+        return None
+    return OnTape(kept, lines, call, u, t, dt, function.shapes)
