@@ -1,8 +1,8 @@
-"""Moment filters through tapes beside filters through calls: ``python -m tests.benchmarks.bench_tape``.
+"""Moment filters and free runs through tapes beside those by calls: ``python -m tests.benchmarks.bench_tape``.
 
 Models of the package and one written as differential equations, as they are and with effects, one parameter
-vector and eight side by side, each pair in turn in one run; then whole diagnoses with and without tapes. Writes
-``results/tape.md``.
+vector and eight side by side, each pair in turn in one run; filters of outliers, the way of one filter and free
+runs; then whole diagnoses with and without tapes. Writes ``results/tape.md``.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -22,11 +22,13 @@ import numpy as np
 
 import engine
 import engine.filters.sigma_point
+import engine.filters.strata
+import engine.simulation.simulate
 from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.filters.sigma_point import moment_filter
-from engine.simulation.simulate import simulate
+from engine.filters.sigma_point import _path, moment_filter
+from engine.simulation.simulate import propagate, simulate, states_of
 from tests.benchmarks.bench_diagnose import series_of
 from tests.benchmarks.bench_free_run import paired
 from tests.benchmarks.machine import Watch
@@ -34,6 +36,11 @@ from tests.engine.filters.test_taped import pendulum
 
 RESULTS = Path(__file__).parent / "results"
 ROWS, REPEATS = 1000, 7
+BY_TAPE = (
+    (engine.filters.sigma_point, "filter_by_tape"),
+    (engine.filters.strata, "tapes_of"),
+    (engine.simulation.simulate, "run_by_tape"),
+)
 EFFECTS = {
     "mixed-4": ("", "drag:z1", "coulomb:z2->z3", "hysteresis:z1"),
     "oscillator": ("", "coulomb:velocity", "boucwen:velocity", "delay:drive"),
@@ -43,13 +50,15 @@ EFFECTS = {
 
 @contextmanager
 def by_calls() -> Iterator[None]:
-    """No filter goes through a tape."""
-    own = engine.filters.sigma_point.filter_by_tape
-    engine.filters.sigma_point.filter_by_tape = lambda *_: None
+    """No filter and no free run goes through a tape."""
+    own = [(module, name, getattr(module, name)) for module, name in BY_TAPE]
+    for module, name in BY_TAPE:
+        setattr(module, name, lambda *_: None)
     try:
         yield
     finally:
-        engine.filters.sigma_point.filter_by_tape = own
+        for module, name, function in own:
+            setattr(module, name, function)
 
 
 def series_for(model: engine.MixedModel) -> engine.Series:
@@ -84,6 +93,28 @@ def filters() -> Iterator[str]:
                 print(name, effect, K, f"{ratio:.1f}", flush=True)
 
 
+def others(name: str) -> Iterator[str]:
+    """Lines of a model: eight filters of outliers, the way of one filter, one free run and eight."""
+    model = pendulum() if name == "pendulum" else engine.get_model(name)
+    series = series_for(model)
+    where, theta = next(iter(model.nonlinear)), np.asarray(model.theta())
+    tails = engine.with_mixture(model, "dynamics", channels=[where])
+    thetas = np.asarray(tails.theta()) * (1.0 + 1e-6 * np.arange(8))[:, None]
+    x1 = np.full((8, model.nx), 0.1)
+    first = x1[:, : model.na], x1[:, model.na :]
+    one, eight = model.record(theta), model.records(np.tile(theta, (8, 1)))
+    for what, work in (
+        ("outliers, 8", lambda: moment_filter(tails, thetas, series).log_likelihood),
+        ("way of one filter", lambda: _path(model, theta, series).filtered),
+        ("free run", lambda: states_of(model, one, series, x1[0])),
+        ("free runs, 8", lambda: np.dstack(propagate(model, eight, series, *first)[1:])),
+    ):
+        calls, tape, ratio, a, b = paired(work, REPEATS, by_calls)
+        apart = float(np.abs(a - b).max() / np.abs(a).max())
+        yield f"| {name} | {what} | {calls:.1f} | {tape:.2f} | {ratio:.1f} | {apart:.0e} |"
+        print(name, what, f"{ratio:.1f}", flush=True)
+
+
 def diagnoses() -> Iterator[str]:
     """A line for each whole diagnosis."""
     swing = pendulum()
@@ -103,10 +134,14 @@ def diagnoses() -> Iterator[str]:
 def main() -> None:
     """Measure, and write the page."""
     with Watch() as watch:
-        of_filters, of_diagnoses = list(filters()), list(diagnoses())
+        of_filters, of_others, of_diagnoses = (
+            list(filters()),
+            [line for name in EFFECTS for line in others(name)],
+            list(diagnoses()),
+        )
     figures = watch.figures()
     lines = [
-        "# Moment filters through tapes",
+        "# Moment filters and free runs through tapes",
         "",
         f"{ROWS} samples; processor time on one core, medians of {REPEATS} pairs in turn (`make bench-tape`);",
         "a diagnosis is one pair. *Apart*: the log-likelihoods, as a share. Other programs used "
@@ -115,6 +150,10 @@ def main() -> None:
         "| model | effect | parameter vectors | calls, ms | tape, ms | times faster | apart |",
         "| --- | --- | --- | --- | --- | --- | --- |",
         *of_filters,
+        "",
+        "| model | what | calls, ms | tape, ms | times faster | apart |",
+        "| --- | --- | --- | --- | --- | --- |",
+        *of_others,
         "",
         "| diagnosis | calls, s | tape, s | times faster | the same names |",
         "| --- | --- | --- | --- | --- |",
