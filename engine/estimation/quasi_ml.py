@@ -36,8 +36,9 @@ ONE_SIDED = 1e-6  # of it, where a bound leaves one side
 EVEN = 0.999  # of one side's step, from which the other is as long
 SMALL = 0.01  # of a value, up to which a step is small beside it
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths
-# those tried together after the whole step, until one is good
+# those tried together, until one is good: after the whole step, and where that was too long before
 BATCHES = (slice(1, 3), slice(3, None))
+SHORT = (slice(0, 3), slice(3, None))
 GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function gains
 ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
 TRIALS = 8  # sizes tried for a parameter of unknown scale
@@ -147,7 +148,7 @@ def quasi_ml(  # noqa: PLR0913
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
         )
-    converged, given_up, iterations, damping = False, False, 0, DAMPING
+    converged, given_up, iterations, damping, whole = False, False, 0, DAMPING, True
     gains: list[float] = []
     while iterations < max_iterations:
         iterations += 1
@@ -169,7 +170,9 @@ def quasi_ml(  # noqa: PLR0913
         if hopeless or leave(theta, value, H):
             given_up = True
             break
-        moved, there = _step(model, all_series, theta, indices, direction, value, expected, visited)
+        moved, there, whole = _step(
+            model, all_series, theta, indices, direction, value, expected, visited, whole
+        )
         if moved is None:
             if damping > 1.0:
                 break
@@ -240,34 +243,38 @@ def _step(
     value: float,
     expected: float,
     visited: Sequence[Visited],
-) -> tuple[Array | None, tuple[float, Array, Array]]:
-    """The new theta with its derivatives; None where no step along the direction is better.
+    whole: bool,
+) -> tuple[Array | None, tuple[float, Array, Array], bool]:
+    """The new theta with its derivatives, and whether the step was a whole one.
 
-    The whole step is tried with its derivatives at once, as most steps are good; where it gains
-    less than a part of what was expected, step lengths are compared first.
+    None where no step along the direction is better. The ``whole`` step is tried with its derivatives at once,
+    as most steps are good; where it gains less than a part of what was expected, or the last one did, step
+    lengths are compared first.
     """
     lower, upper = model.lower[indices], model.upper[indices]
     trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
     moved = free_thetas(theta, indices, trials[:1])[0]
     here = [one.copy() for one in visited]
-    there = derivatives(model, all_series, moved, indices, visited)
-    if there[0] > value + GOOD * expected:
-        return moved, there
+    there = -np.inf, direction, direction
+    if whole:
+        there = derivatives(model, all_series, moved, indices, visited)
+        if there[0] > value + GOOD * expected:
+            return moved, there, True
     values = np.full(len(trials), -np.inf)
-    for part in BATCHES:
+    for part in BATCHES if whole else SHORT:
         thetas = free_thetas(theta, indices, trials[part])
         values[part] = log_likelihoods(model, all_series, thetas, here)
         best = int(np.argmax(values))
         if values[best] > value + GOOD * TRIES[best] * expected:
             break
     if there[0] > value and not values[best] > there[0]:
-        return moved, there
+        return moved, there, True
     if not values[best] > value:
-        return None, there
+        return None, there, True
     moved = free_thetas(theta, indices, trials[best : best + 1])[0]
     for one, before in zip(visited, here, strict=True):
         one.seen, one.moved = before.seen, before.moved
-    return moved, derivatives(model, all_series, moved, indices, visited)
+    return moved, derivatives(model, all_series, moved, indices, visited), best == 0
 
 
 def log_likelihoods(
