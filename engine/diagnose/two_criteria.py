@@ -69,7 +69,7 @@ class TwoAnswers:
     @property
     def coarse(self) -> bool:
         """Whether shorter steps may say something else."""
-        by_likelihood = not self.asked.decides and self.fine.k < ENOUGH
+        by_likelihood = not (self.asked.decides and self.of_free_run) and self.fine.k < ENOUGH
         for_likelihood = by_likelihood and (self.causes.coarse or self.causes.steps > self.fine.k)
         return self.fine.finer and (for_likelihood or self._coarse_for_free_run)
 

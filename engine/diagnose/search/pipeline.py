@@ -180,7 +180,9 @@ def find_causes(
         left = noise_left_to_states(base, series)
         notes.extend([left] if left else [])
     kinds = effects if aside is None else aside.others
-    steps = _steps(found, series, setting, kept) if verdict in NAMES else series.substeps
+    # what steps get wrong has a shape of its own
+    sized = verdict in NAMES or shape is not None
+    steps = _steps(found, series, setting, kept) if sized else series.substeps
     clock.stop()
     coarse, another = worth > 0.0, shape is not None
     return Causes(base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another)

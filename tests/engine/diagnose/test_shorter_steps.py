@@ -1,0 +1,47 @@
+"""When causes are looked for again with shorter steps, by what either criterion has found."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from engine.diagnose.two_criteria import TwoAnswers
+
+
+def answers(k: int, decides: bool, search: Any, steps: int, coarse: bool = False) -> TwoAnswers:
+    parts: Any = (
+        SimpleNamespace(k=k, finer=True),
+        SimpleNamespace(steps=steps, coarse=coarse),
+        SimpleNamespace(decides=decides, search=search),
+        None,
+    )
+    return TwoAnswers(*parts, ())
+
+
+def of_free_run(found: list[str], coarse: bool = False) -> Any:
+    return SimpleNamespace(found=found, coarse=coarse)
+
+
+@pytest.mark.parametrize(
+    ("k", "decides", "search", "steps", "again"),
+    [
+        (2, False, None, 4, True),  # sizes of the likelihood need more
+        (2, False, None, 2, False),
+        (4, False, None, 8, False),  # sizes are left as they are
+        # friction whose steps leave a shape: the free run decides, and has nothing to say
+        (2, True, of_free_run([]), 4, True),
+        (2, True, of_free_run(["coulomb:v"]), 4, False),  # its names are not the likelihood's
+    ],
+)
+def test_sizes_need_shorter_steps(k, decides, search, steps, again):
+    found = answers(k, decides, search, steps)
+    assert found.coarse is again
+    if again:
+        assert found.steps == steps
+
+
+def test_what_the_free_run_found_does_on_its_own():
+    assert answers(4, True, of_free_run(["coulomb:v"], coarse=True), 4).coarse
+    assert answers(2, False, None, 2, coarse=True).steps == 4
