@@ -92,9 +92,10 @@ def foretold(u: Array, errors: Array) -> float:
     """p-value of ``errors`` (T, ny), fading sums of those of earlier rows, telling nothing of ``u`` (T,).
 
     Where the input is given, whatever it is, errors are independent of all of it: so they are of its changes
-    and of what its own past does not say of it, which a controller moves. What earlier inputs say of the errors
-    themselves is a model that is not quite right, and left out. Robust to errors whose size differs from row to
-    row (White 1980).
+    and of what its own past does not say of it, which a controller moves. What this and earlier inputs say of
+    the errors themselves is a model that is not quite right, and left out: an input that is given changes from
+    where it was, and errors that still hold a part of it would foretell that change. Robust to errors whose
+    size differs from row to row (White 1980).
     """
     T, rows = len(u), np.arange(OWN, len(u))
     known = np.column_stack([np.ones(T), np.arange(T)])
@@ -103,7 +104,8 @@ def foretold(u: Array, errors: Array) -> float:
     news[rows] = u[rows] - own @ np.linalg.lstsq(own, u[rows], rcond=None)[0]
     errors = errors.copy()
     errors[:OWN] = 0.0
-    errors[rows] -= own @ np.linalg.lstsq(own, errors[rows], rcond=None)[0]
+    given = np.column_stack([own, u[rows]])
+    errors[rows] -= given @ np.linalg.lstsq(given, errors[rows], rcond=None)[0]
     least, p = 1e-9 * float(np.ptp(u)), 1.0
     moved = [part for part in (news, change) if np.ptp(part) > least]  # else its past says it all
     for part in moved:

@@ -78,6 +78,20 @@ def test_a_model_that_is_not_quite_right_is_no_controller():
     assert sum(p < 0.01 for p in p_values) < 3
 
 
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_errors_that_hold_a_part_of_their_own_row_s_input_are_no_controller(memory):
+    """An input that is given changes from where it was, and such errors say where that is."""
+    p_values = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        u, errors = np.zeros(300), rng.standard_normal((300, 1))
+        for t, news in enumerate(rng.standard_normal(300)):
+            u[t] = memory * u[t - 1] + news
+        errors[:, 0] += 0.5 * u
+        p_values.append(foretold(u, errors))
+    assert sum(p < 0.01 for p in p_values) < 3
+
+
 @pytest.mark.parametrize("later", [False, True])
 def test_a_controller_is_no_direct_path(later):
     series = record(3, closed=True, later=later)
