@@ -113,7 +113,8 @@ def second_opinion(
         if seen.p_value > level:
             extended = settled and bool(named)
             reason = f"{_noise_explains(seen, level, extended)}{_part(records, given)}"
-            missing = None if settled else beside.missing()
+            # a function of a signal follows what noise did, too, wherever noise adds up
+            missing = None if settled or seen.p_value >= UNLIKELY else beside.missing()
             return SecondOpinion(*said, False, reason, seen, missing=missing)
         found = search_free_runs(
             base,

@@ -10,7 +10,12 @@ import engine
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import search_free_runs
 from engine.diagnose.free_run.search import survivors
-from engine.diagnose.free_run.second_opinion import SecondOpinion, _decided, heeding
+from engine.diagnose.free_run.second_opinion import (
+    SecondOpinion,
+    _decided,
+    heeding,
+    second_opinion,
+)
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
@@ -151,3 +156,46 @@ def test_a_shape_that_the_likelihood_refuted_is_refuted_for_the_free_run(free_ru
         said, reason = _decided(causes, False, named, search)
         assert said is (decides or not refuted)
         assert ("another shape" in reason) is not said
+
+
+VESSEL = engine.MixedModel(
+    name="vessel",
+    nonlinear={"T": "K"},
+    linear={},
+    inputs={"heat": "kW"},
+    outputs={"y": "K"},
+    dynamics=lambda a, u, t, dt, th: (
+        [a[:, 0] + dt * (th.gain * u[0] - th.loss * a[:, 0])],
+        np.zeros((1, 0)),
+        [[dt * th.q]],
+    ),
+    measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[1e-2]]),
+    initial=lambda th: (engine.Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+    parameters=[
+        engine.Parameter("gain", 1.0, "K/s/kW", (0, 10)),
+        engine.Parameter("loss", 0.05, "1/s", (0, 1)),
+        engine.Parameter("q", 0.3, "K^2/s", (1e-6, 10)),
+    ],
+)
+
+
+def test_where_noise_explains_the_free_run_no_function_is_said_to_act():
+    """Noise that adds up goes astray slowly, and here a function of the state follows a third of it."""
+    rng = np.random.default_rng(6)
+    u = np.repeat(rng.uniform(0.0, 4.0, 8), 25)
+    series = engine.simulate(VESSEL, {}, 200, rng, u=u, dt=1.0).series
+    base = quasi_ml(VESSEL, series)
+    causes = SimpleNamespace(base=base, search=SimpleNamespace(rounds=[]), verdict=Verdict.UNKNOWN)
+    one = [series]
+    asked = second_opinion(
+        causes,
+        one,
+        VESSEL.theta(),
+        alpha=0.05,
+        kinds=["bias"],
+        seed=1,
+        progress=lambda stage, fraction: None,
+    )
+    assert asked.alarm is not None
+    assert asked.alarm.p_value > 0.1
+    assert asked.missing is None
