@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from typing import Self
 
 MOST_DIGITS = 12  # of an estimate, however small the error that is stated of it
+ROUNDED = 0.05  # of an interval's width, the most by which its ends are rounded
 TIME_DIGITS = 5  # of a time at least
 
 SYMBOL = r"[^\W\d]|[%‰°]"  # a character of the name of a unit
@@ -107,9 +108,15 @@ def fit_quality(fit: float | None) -> str:
 
 
 def bounds(low: float, high: float, unit: str = "") -> tuple[str, str]:
-    """Both ends of an interval, with as many digits as tell them apart."""
+    """Both ends of an interval, with as many digits as tell them apart and show where it lies.
+
+    Each is rounded by a twentieth of the width at most: of levels between 173.4 and 174.4 m, 173 and 174 m
+    would be the ends of another interval.
+    """
+    most = ROUNDED * abs(high - low)
     for digits in range(3, 16):
-        if low == high or number(low, digits) != number(high, digits):
+        near = all(abs(float(number(end, digits)) - end) <= most for end in (low, high))
+        if not most > 0.0 or not math.isfinite(most) or near:
             break
     if (
         digits > TIME_DIGITS

@@ -122,6 +122,8 @@ def test_neighbouring_bounds_and_small_shares_can_be_told_apart():
     assert bounds(26.68, 26.73, "g/L") == ("26.68 g/L", "26.73 g/L")
     assert bounds(1.0, 2.0, "V") == ("1 V", "2 V")
     assert bounds(1000.0001, 1000.0002)[0] != bounds(1000.0001, 1000.0002)[1]
+    assert bounds(173.4, 174.4, "m") == ("173.4 m", "174.4 m")  # no 173 to 174 m
+    assert bounds(3.0, 3.0) == ("3", "3")
     assert percent(0.0003) == "less than 0.1 %"
     assert percent(0.0) == "0 %"
     assert fit_quality(-1e17) == fit_quality(-0.1) != fit_quality(0.1)
