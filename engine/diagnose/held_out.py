@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from engine.data.joined import apart
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
@@ -23,6 +26,8 @@ from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Verdict
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.pipeline import NAMES, Causes, has_tails
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.rounds import Round, settle
 from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
@@ -103,7 +108,7 @@ class HeldOut:
     ) -> Judged:
         search, notes = found.search, list[str]()
         if verdict in NAMES:
-            left = narrowed(search, self._asked, progress)
+            left = narrowed(search, self._asked, partial(self._settled, found.setting), progress)
             search, gain = left.search, left.gain
             notes.extend(filter(None, (left.note, left.objection)))
             if left.objection or left.note:
@@ -117,6 +122,11 @@ class HeldOut:
             verdict = Verdict.UNKNOWN if contradicts else verdict
         base, final, said = search.base, search.final, tuple(notes)
         return Judged(verdict, named_by(search), base, final, gain, search, asked, said)
+
+    def _settled(self, setting: Setting, found: Round, refits: Sequence[Refit]) -> Round:
+        """A round of these refits alone."""
+        unnamed = [found.generic] if found.generic else []
+        return settle(found.screen, [*refits, *unnamed], self.searched, setting)
 
     def _gain(self, search: Search, beside: FreeRunSearch | None = None) -> Gain | None:
         """What an extension gains: the likelihood's, or one that the free run found ``beside`` it.

@@ -9,6 +9,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import (
     AS_LIKELY,
+    CONTRADICTED,
     LESS_LIKELY,
     SAME,
     WAS_LIKELIER,
@@ -140,6 +141,8 @@ def standing(other: LookAlike, equivalent: Sequence[str]) -> str:
         return "not told apart"
     if other.difference == SAME:
         return "the same here"
+    if other.difference == CONTRADICTED:
+        return "left out"
     if other.difference.startswith((AS_LIKELY, LESS_LIKELY, WAS_LIKELIER)):
         return "not ruled out"
     return "not ruled out" if other.gain is None else "behind, its refit left early"

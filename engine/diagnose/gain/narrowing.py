@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ from engine.data.series import Series
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.search.found import Search
+from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.estimation.restricted import restricted
 from engine.words import enumerated
@@ -48,44 +49,64 @@ class Narrowed:
 def narrowed(
     found: Search,
     ask: Callable[[Search], tuple[Gain | None, str]],
+    settled: Callable[[Round, Sequence[Refit]], Round],
     progress: Callable[[str, float], Any] = lambda stage, share: None,
 ) -> Narrowed:
     """The search without the members of its set that ``ask`` objects to.
 
     ``ask`` measures what an extension gains on held-out data, with a sentence where that contradicts it. Where
     all members are contradicted the set stays as it is, with the objection to its first one.
+
+    A set is what comes near its best member. Without that one, what was too far behind it may be as near to the
+    next one: ``settled`` makes the round of these refits anew, and who comes into its set is asked as well.
     """
     orders = each_in_front(found)
     gain, objection = ask(orders[0])
     if not objection:
         return Narrowed(found, gain)
-    asked = []
-    for j, order in enumerate(orders[1:], 1):
-        progress("gain", j / len(orders))
-        asked.append((order, *ask(order)))
-    kept = [(order, there) for order, there, said in asked if not said]
-    if not kept:
-        return Narrowed(found, gain, objection)
-    first, there = kept[0]
-    left = [_leading(order).refits[0] for order, _ in kept]
-    rounds = tuple(
-        replace(r, equivalent=tuple(x for x in r.equivalent if x in left)) if r.equivalent else r
-        for r in first.rounds
-    )
-    gone = [r.effect.name for r in _leading(found).equivalent if r not in left]
-    kept_names = [r.effect.name for r in left]
+    answers = {_name(orders[0]): (gain, objection)}
+    now = found
+    while True:
+        orders = each_in_front(now)
+        for j, order in enumerate(orders):
+            if _name(order) not in answers:
+                progress("gain", j / len(orders))
+                answers[_name(order)] = ask(order)
+        left = [order for order in orders if not answers[_name(order)][1]]
+        if not left:
+            return Narrowed(found, gain, objection)
+        if len(left) == len(orders):
+            break
+        now = _without([name for name, (_, said) in answers.items() if said], left[0], settled)
+    first = orders[0]
+    gone = [name for name, (_, said) in answers.items() if said]
+    apart = enumerated([*gone, *map(_name, orders)])
     note = (
-        f"The record does not tell {enumerated([*gone, *kept_names])} apart, the held-out data do: with "
-        f"{enumerated(gone, 'or')} the extension loses there what it should gain."
+        f"The record does not tell {apart} apart, the held-out data do: with {enumerated(gone, 'or')} the "
+        "extension loses there what it should gain."
     )
-    return Narrowed(replace(first, rounds=rounds), there, note=note)
+    return Narrowed(first, answers[_name(first)][0], note=note)
+
+
+def _without(
+    gone: Sequence[str], found: Search, settled: Callable[[Round, Sequence[Refit]], Round]
+) -> Search:
+    """The search with its round made anew of the refits that are not ``gone``."""
+    k = next(k for k, r in enumerate(found.rounds) if r.equivalent)
+    one, rounds = found.rounds[k], [*found.rounds]
+    against = tuple(r for r in one.refits if r.effect.name in gone)
+    again = settled(one, [r for r in one.refits if r not in against])
+    # those that held-out data contradict stay among the refits, so that the page says what became of them
+    rounds[k] = replace(again, refits=(*again.refits, *against), contradicted=against)
+    return replace(found, rounds=tuple(rounds), final=again.refits[0].fit)
+
+
+def _name(found: Search) -> str:
+    """The name in front."""
+    return next(r for r in found.rounds if r.equivalent).refits[0].effect.name
 
 
 def with_fair_noise(found: Search, series: Series) -> Search:
     """The search with the noise of its models as great as their other parameters leave it."""
     base, final = (restricted(f, series, noise_of(f, series)) for f in (found.base, found.final))
     return replace(found, base=base, final=final)
-
-
-def _leading(found: Search) -> Round:
-    return next(r for r in found.rounds if r.equivalent)

@@ -12,6 +12,7 @@ from engine.words import probability
 AS_LIKELY = "is as likely, but with more parameters to choose"
 SAME = "says the same in other words here"  # of another name for the same thing
 LESS_LIKELY = "is less likely, by a factor of"
+CONTRADICTED = "is as likely here, and held-out data speak against it"
 WAS_LIKELIER = "was likelier before what was found beside the cause"
 
 

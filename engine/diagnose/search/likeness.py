@@ -23,7 +23,7 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
     friction a velocity, stiffness a position (:class:`~engine.diagnose.effects.traits.Traits`).
     Where neither does, both stay; and so do a sensor's lasting fault and one of the plant: another repair.
     """
-    refits = [r for r in refits if not _merely_wider(r, refits)]
+    refits = [r for r in refits if not merely_wider(r, refits)]
     terms = [held_out_terms(r.fit, series) for r in refits]
     ranks = [rank((r.effect,), setting) for r in refits]
 
@@ -43,7 +43,7 @@ def _repaired_elsewhere(one: Effect, other: Effect) -> bool:
     return lasting and "measurement" in families and bool(families & {"state", "input"})
 
 
-def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
+def merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
     """Whether a plainer effect at the same place does as well."""
     return any(
         contains(found.effect, other.effect) and found.score < other.score + NEEDED

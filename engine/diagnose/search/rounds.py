@@ -18,12 +18,16 @@ EVEN = 0.05  # of the score: what refits leave undone, so that it may not decide
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What the screen saw, what was refitted (best first), the unnamed force, the set that remains."""
+    """What the screen saw, what was refitted (best first), the unnamed force, the set that remains.
+
+    ``contradicted`` are members that the set had until held-out data spoke against them.
+    """
 
     screen: Screen
     refits: tuple[Refit, ...]
     generic: Refit | None
     equivalent: tuple[Refit, ...]
+    contradicted: tuple[Refit, ...] = ()
 
 
 def settle(

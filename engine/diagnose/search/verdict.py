@@ -12,6 +12,7 @@ from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.amplitude import amplitude_of
 from engine.diagnose.search.findings import (
     AS_LIKELY,
+    CONTRADICTED,
     LESS_LIKELY,
     SAME,
     WAS_LIKELIER,
@@ -21,6 +22,7 @@ from engine.diagnose.search.findings import (
     Verdict,
 )
 from engine.diagnose.search.found import Search
+from engine.diagnose.search.likeness import merely_wider
 from engine.diagnose.search.refits import Refit, further_parameters
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.estimation.quasi_ml import QuasiFit
@@ -161,6 +163,8 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
     names = [s.effect.name for s in found.screen.scores]
     place = names.index(best.effect.name)
     refits = {r.effect.name: r for r in found.refits}
+    against = [r.effect.name for r in found.contradicted]
+    near = [r for r in found.refits if r.score >= best.score - MARGIN]
     out = []
     for i, score in enumerate(found.screen.scores):
         other = score.effect
@@ -170,7 +174,7 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         refit = refits.get(other.name)
         if likeness < ALIKE and refit is None:
             continue
-        # close in score and yet not in the set: the plainer name was kept for the same thing
+        # close in score and yet not in the set: the plainer name was kept, for the same thing or a part of it
         same = refit is not None and refit.score >= best.score - MARGIN
         followed = refit is not None and not refit.fit.given_up  # only then can it be ruled out
         as_likely = refit is not None and refit.gain >= best.gain - MARGIN
@@ -180,10 +184,12 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         ruled_out = worse and less > RULED_OUT  # parameters more are no evidence against it
         difference = best.effect.look_alikes.get(other.kind, "")
         ahead = behind < (0.0 if other.traits.outliers else -MARGIN)
-        if ahead and other.name not in set_of(found):  # outliers of a state, see the search
+        if other.name in against:
+            difference = CONTRADICTED
+        elif ahead and other.name not in set_of(found):  # outliers of a state, see the search
             difference = WAS_LIKELIER
         elif same and other.name not in set_of(found):
-            difference = SAME
+            difference = AS_LIKELY if merely_wider(refits[other.name], near) else SAME
         elif as_likely and other.name not in set_of(found):
             difference = AS_LIKELY
         elif worse and not ruled_out:

@@ -118,7 +118,11 @@ def test_only_a_refit_that_has_ended_can_be_ruled_out():
         for e, s, g in zip(effects[:2], (40.0, 20.0), (False, True), strict=True)
     ]
     one = SimpleNamespace(
-        screen=screen, refits=tuple(refits), equivalent=(refits[0],), generic=None
+        screen=screen,
+        refits=tuple(refits),
+        equivalent=(refits[0],),
+        generic=None,
+        contradicted=(),
     )
     ruled_out = {x.effect: x.ruled_out for x in _look_alikes(one, refits[0])}
     assert ruled_out == {"cubic:speed": False, "coulomb:speed": False}
@@ -150,6 +154,7 @@ def test_outliers_of_a_state_that_were_a_little_likelier_are_not_the_same_in_oth
         refits=tuple(refits),
         equivalent=(refits[0],),
         generic=None,
+        contradicted=(),
     )
     (told,) = _look_alikes(one, refits[0])
     assert told.difference == "was likelier before what was found beside the cause"

@@ -176,6 +176,10 @@ def test_held_out_data_decide_where_the_record_cannot():
     assert found.gain.adopt
 
 
+def _never(found, refits):
+    raise AssertionError("no set is to be made anew")
+
+
 @pytest.mark.slow
 def test_a_set_whose_members_are_all_contradicted_stays():
     model, series = cell(500, np.random.default_rng(2))
@@ -188,10 +192,10 @@ def test_a_set_whose_members_are_all_contradicted_stays():
         asked.append(order.rounds[0].refits[0].effect.name)
         return None, f"not {asked[-1]}"
 
-    left = narrowed(found, ask)
+    left = narrowed(found, ask, _never)
     assert asked == names
     assert left.search is found
     assert left.objection == f"not {names[0]}"
-    kept = narrowed(found, lambda order: (None, "" if order is found else "never asked"))
+    kept = narrowed(found, lambda order: (None, "" if order is found else "never asked"), _never)
     assert kept.search is found
     assert (kept.objection, kept.note) == ("", "")
