@@ -72,7 +72,7 @@ def _start(setting: Setting, channel: str, name: str) -> Effect:
         (Parameter(name, 0.0, setting.unit(channel), description=FROM_THE_MODELS),),
         lambda model: begin_elsewhere(model, channel),
         look_alikes={
-            "bias": "a sensor that is off stays off",
+            "bias": "does not fade",
             "force": "goes on pushing",
             "step": "comes later and stays",
         },

@@ -35,7 +35,7 @@ def _input_offset(setting: Setting, channel: str, name: str) -> Effect:
         f"{channel} -> {channel} + {name}",
         (Parameter(name, 0.0, setting.unit(channel), description="input offset"),),
         lambda model: change_inputs(model, channel, lambda u, own: u + own[0]),
-        look_alikes={"force": "a constant force through the same equation looks alike"},
+        look_alikes={"force": "stays the same whatever the input is multiplied by"},
         traits=Traits(plainness=3),
     )
 

@@ -148,7 +148,7 @@ def _force(setting: Setting, channel: str, name: str) -> Effect:
         (Parameter(name, 0.0, setting.rate(channel), description="constant rate"),),
         lambda model: add_to_state(model, channel, lambda v, own: own[0]),
         look_alikes={
-            "bias": "a sensor bias does not move the state",
+            "bias": "does not move the state",
             "step": "acts from one time on",
         },
         traits=Traits(plainness=2),

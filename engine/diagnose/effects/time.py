@@ -139,7 +139,7 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
         extend,
         probes=((0.0, usual, middle),),
         held=(f"{name}_origin",),
-        look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
+        look_alikes={"pole": "decays, where a harmonic goes on"},
         traits=Traits(Course.HARMONIC, swallowed=True),
     )
 

@@ -14,8 +14,9 @@ import pytest
 import engine
 from engine.data.series import Series
 from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
+from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, SAME
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
@@ -27,6 +28,7 @@ from engine.presentation.cause_sentences import (
     experiment,
     headline,
     late,
+    phrased,
     sample_step,
     standing,
     when,
@@ -442,3 +444,14 @@ def test_no_estimate_has_more_digits_than_a_number_holds():
     """A share that is at its bound; a time since 1970 keeps its tenths."""
     assert estimate(0.99999999999979, 1.7e-13) == "1 +- 1.7e-13"
     assert estimate(1700000123.4, 0.5, "s") == "1700000123.4 +- 0.5 s"
+
+
+def test_what_tells_look_alikes_apart_is_said_with_one_verb():
+    """``it is a constant force through the same equation looks alike`` was said once."""
+    verbs = re.compile(r"\b(is|does|looks|rings|stays|acts|moves|decays|goes|comes)\b")
+    for model in (LINEAR, engine.get_model("servo"), engine.get_model("tanks")):
+        for effect in all_effects(Setting(model)):
+            for kind, difference in effect.look_alikes.items():
+                said = phrased(difference)
+                article = difference.startswith(("a ", "an "))
+                assert not (article and verbs.search(difference)), (effect.kind, kind, said)
