@@ -8,11 +8,12 @@ from typing import TypeAlias
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.filters.rbpf import rbpf
 from engine.statespace.model import Array, MixedModel, ThetaLike
-from engine.words import number, with_unit
+from engine.words import enumerated, number, with_unit
 
 LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
 PARTICLES = (500, 2000)  # for the particle filter's word on a gain; the second where it contradicts
@@ -51,6 +52,31 @@ def _sentence(refit: Refit) -> str:
         f"{refit.effect.name} explains the data, but its size is not determined by them ({size}, "
         f"{by}): it stands in for something else."
     )
+
+
+def already_there(found: Sequence[Round]) -> list[str]:
+    """A sentence for each effect, one of several, that is a term of the model as it was given.
+
+    Before anything was found the fitted parameters took up all that such an effect could show. Beside another
+    one it may show something: that what was found acts on a part of what its name says, before or behind that
+    term. Then neither name is the cause.
+    """
+    if len(found) < 2:
+        return []
+    taken_up = {
+        score.effect.name for score in found[0].screen.scores if 0.0 < score.rho <= UNTESTABLE
+    }
+    names = [r.refits[0].effect.name for r in found]
+    out = []
+    for name in names:
+        if name in taken_up:
+            others = enumerated([other for other in names if other != name])
+            out.append(
+                f"{name} is a term that the model has already: before anything was found, its parameters took "
+                f"up all that it could show. That it shows beside {others} says that {others} acts on a part "
+                "only of what its name says: these names are not the cause."
+            )
+    return out
 
 
 def particle_word(

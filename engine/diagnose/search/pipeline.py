@@ -18,7 +18,7 @@ from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.contradictions import undetermined
+from engine.diagnose.search.contradictions import already_there, undetermined
 from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
@@ -159,7 +159,8 @@ def find_causes(
             "other causes: these data do not tell which it is."
         )
         verdict = Verdict.UNKNOWN
-    against = undetermined([r for r in found.rounds if r.equivalent])
+    named = [r for r in found.rounds if r.equivalent]
+    against = [*undetermined(named), *already_there(named)]
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN

@@ -11,7 +11,7 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search import contradictions
 from engine.diagnose.search import pipeline as causes
-from engine.diagnose.search.contradictions import particle_word, undetermined
+from engine.diagnose.search.contradictions import already_there, particle_word, undetermined
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.verdict import _look_alikes
@@ -27,6 +27,27 @@ def found(name, size, error, second=None):
     theta = model.theta({free[0]: size} if second is None else {free[0]: size, free[1]: second})
     fit = QuasiFit(model, theta, 0.0, tuple(free), np.eye(len(free)) / error**2, 1, True)
     return SimpleNamespace(refits=(Refit(effect, fit, 40.0, 40.0),))
+
+
+@pytest.mark.parametrize(
+    ("rhos", "said"),
+    [
+        ((0.4, 0.3), []),
+        ((0.4, 1e-12), ["direct:force->reading"]),  # the model's own term
+        ((0.4, 0.0), []),  # nothing that excites it, then
+    ],
+)
+def test_a_term_of_the_model_is_no_second_cause(rhos, said):
+    """A direct path that the model has shows beside a bent sensor: so the sensor is not what is bent."""
+    effects = [make_effect(n, Setting(DRIVE)) for n in ("cubic-sensor:reading", "bias:reading")]
+    effects[1] = SimpleNamespace(name="direct:force->reading")
+    scores = [SimpleNamespace(effect=e, rho=rho) for e, rho in zip(effects, rhos, strict=True)]
+    screen = SimpleNamespace(scores=scores)
+    rounds = [SimpleNamespace(screen=screen, refits=(SimpleNamespace(effect=e),)) for e in effects]
+    told = already_there(rounds)
+    assert [text.split()[0] for text in told] == said
+    assert all("cubic-sensor:reading" in text for text in told)
+    assert not already_there(rounds[1:])  # alone it is none of the model's
 
 
 @pytest.mark.parametrize(
