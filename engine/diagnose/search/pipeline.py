@@ -19,6 +19,7 @@ from engine.diagnose.screening.noise_parameters import noise_left_to_states
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import already_there, undetermined
+from engine.diagnose.search.event_time import times_as_likely
 from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
@@ -180,6 +181,8 @@ def find_causes(
     if verdict not in NAMES:
         left = noise_left_to_states(base, series)
         notes.extend([left] if left else [])
+    else:
+        notes.extend(times_as_likely(found, series))
     kinds = effects if aside is None else aside.others
     # what steps get wrong has a shape of its own
     sized = verdict in NAMES or shape is not None
