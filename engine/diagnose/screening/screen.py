@@ -101,6 +101,22 @@ class Screen:
         one = replace(self, share=share)
         return replace(one, p_value=one.family_wise(one.smallest))
 
+    def with_untested(self, elsewhere: Sequence[Score]) -> Screen:
+        """The screen with effects that it could not test, and that were tested ``elsewhere``.
+
+        Here they show nothing; from there they have what makes a p-value of a likelihood ratio.
+        """
+        known = {score.effect.name for score in self.scores}
+        new = {score.effect.name: score for score in elsewhere if score.effect.name not in known}
+        nothing = (
+            replace(one, statistic=0.0, size=0.0, se=np.inf, p_value=1.0, rho=0.0)
+            for one in new.values()
+        )
+        n = len(self.scores)
+        likenesses = np.eye(n + len(new))
+        likenesses[:n, :n] = self.likenesses
+        return replace(self, scores=(*self.scores, *nothing), likenesses=likenesses)
+
     def family_wise_at(self, boldness: float) -> float:
         """The family-wise p-value of what was seen, if all p-values were so bold."""
         return self.family_wise(self.smallest ** (1.0 / boldness))

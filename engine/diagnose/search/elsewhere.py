@@ -42,8 +42,8 @@ def from_elsewhere(
     screened: Screened,
     refits: Sequence[Refit],
     kept: Kept,
-) -> list[Refit]:
-    """Refits that begin at parameters the data without the effect did not choose.
+) -> tuple[list[Refit], list[Score]]:
+    """Refits that begin at parameters the data without the effect did not choose, with their scores there.
 
     ``own`` are the parameters of the user's model; ``screened`` tells what is seen of some of
     ``effects`` at other parameters; ``refits`` begun at the fit itself.
@@ -53,7 +53,7 @@ def from_elsewhere(
     kinds = [effect.name for effect in effects]
     named = [one for one in refits if not one.effect.traits.unnamed]
     leading = max(named, key=lambda one: one.score)
-    found: list[Refit] = []
+    found, scores = list[Refit](), list[Score]()
     for name, theta in _places(fit, leading, own).items():
         there, here = replace(fit, theta=theta, rivals=()), kept.further(name)
         try:
@@ -70,7 +70,8 @@ def from_elsewhere(
             except (EngineError, np.linalg.LinAlgError):
                 continue
             found.append(replace(one, gain=one.gain - fall, score=one.score - fall))
-    return found
+            scores.append(score)
+    return found, scores
 
 
 def _places(fit: QuasiFit, leading: Refit, own: Sequence[str]) -> dict[str, Theta]:

@@ -98,7 +98,9 @@ def refit_best(
     progress: Progress,
     kept: Kept = NOTHING,
     asked: Mapping[str, Array] | None = None,
-    again: Callable[[Sequence[Refit], Kept], list[Refit]] = lambda refits, kept: [],
+    again: Callable[
+        [Sequence[Refit], Kept], tuple[list[Refit], list[Score]]
+    ] = lambda refits, kept: ([], []),
 ) -> Round:
     """Refit the effects with the largest scores, and the unnamed force where it scores best.
 
@@ -123,7 +125,10 @@ def refit_best(
     refits = followed(refits, series, fit, progress, kept)
     refits = _beside_look_alikes(refits, fit, series, seen, way, progress, kept)
     if bent(refits, series):
-        refits = _best_of_each([*refits, *again(refits, kept)])
+        further, scores = again(refits, kept)
+        # at the bent fit an effect may not be testable at all, as a correlation with a noise that went to 0
+        seen = seen.with_untested(scores)
+        refits = _best_of_each([*refits, *further])
         refits = followed(refits, series, fit, progress, kept.further("from elsewhere"))
     return settle(seen, without_one_of_many(refits, series), series, setting)
 

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 import engine
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screen import Score, Screen
+from engine.diagnose.search import refitting
 from engine.diagnose.search.elsewhere import bent
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.verdict import detectable_of
+from tests.engine.hidden_effects import DRIVE, hidden
 from tests.engine.plain_models import absorption
 
 
@@ -42,3 +49,35 @@ def test_small_effects_bend_nothing(found):
     refits = found.search.rounds[0].refits
     small = [replace(one, gain=0.5 * found.series.n_measured) for one in refits]
     assert not bent(small, found.series)
+
+
+def test_what_the_bent_fit_cannot_test_is_found_from_elsewhere(monkeypatch):
+    """A noise that went to 0 has no correlation with another, and a refit of one ended the search."""
+    setting = Setting(DRIVE)
+    tested, other = (make_effect(name, setting) for name in ("bias:reading", "drag:speed"))
+    scores = {e.name: Score(e, 30.0, 0.5, 0.1, 1e-6, 0.5, (), 1.0, 1) for e in (tested, other)}
+    seen = Screen((scores[tested.name],), 0.001, 9.0, np.eye(1), np.full(99, 0.5))
+    series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
+    fit = engine.diagnose(DRIVE, series, effects=["bias"], seed=1).search.base
+    gains = {tested.name: 2e6, other.name: 3e6}
+
+    def refitted(effect):
+        return Refit(effect, fit, gains[effect.name], gains[effect.name])
+
+    monkeypatch.setattr(refitting, "refit", lambda *a: refitted(tested))
+    monkeypatch.setattr(refitting, "followed", lambda refits, *a: refits)
+    monkeypatch.setattr(refitting, "_beside_look_alikes", lambda refits, *a: refits)
+    monkeypatch.setattr(refitting, "without_one_of_many", lambda refits, series: refits)
+    found = refitting.refit_best(
+        fit,
+        series,
+        seen,
+        setting,
+        (),
+        lambda *a: None,
+        again=lambda refits, kept: ([refitted(other)], [scores[other.name]]),
+    )
+    sure = refitting.confirmed(found)
+    assert sure.refits[0].effect is other
+    assert sure.screen.p_value == 0.01  # of 99 draws
+    assert [one.testable for one in detectable_of(sure.screen)] == [True, False]
