@@ -224,6 +224,12 @@ def _decided(
         return False, (
             "The likelihood decides: what the free run finds has another shape, as one step ahead shows."
         )
+    names = {name for chosen in found.found for name in chosen.names}
+    if wrong := [name for name in causes.refuted if name in names]:
+        return False, (
+            f"The likelihood decides: {enumerated(wrong)}, of what the free run finds, is refuted one "
+            "step ahead."
+        )
     if settled and verdict is not Verdict.NOTHING and not _displaced(named, first):
         return False, (
             "The likelihood decides: noise does not explain all that its extension gets wrong in free run, "

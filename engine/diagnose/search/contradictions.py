@@ -54,24 +54,24 @@ def _sentence(refit: Refit) -> str:
     )
 
 
-def already_there(found: Sequence[Round]) -> list[str]:
-    """A sentence for each effect, one of several, that is a term of the model as it was given.
+def already_there(found: Sequence[Round]) -> dict[str, str]:
+    """A sentence for each effect, one of several, that is a term of the model as it was given, by its name.
 
     Before anything was found the fitted parameters took up all that such an effect could show. Beside another
     one it may show something: that what was found acts on a part of what its name says, before or behind that
     term. Then neither name is the cause.
     """
     if len(found) < 2:
-        return []
+        return {}
     taken_up = {
         score.effect.name for score in found[0].screen.scores if 0.0 < score.rho <= UNTESTABLE
     }
     names = [r.refits[0].effect.name for r in found]
-    out = []
+    out = {}
     for name in names:
         if name in taken_up:
             others = enumerated([other for other in names if other != name])
-            out.append(
+            out[name] = (
                 f"{name} is a term that the model has already: before anything was found, its parameters took "
                 f"up all that it could show. That it shows beside {others} says that {others} acts on a part "
                 "only of what its name says: these names are not the cause."

@@ -58,7 +58,7 @@ class Causes:
 
     The sizes of what was named need so many ``steps`` a sample. ``coarse`` where the error of the steps may
     decide between names; ``kinds`` of effects that were looked for, None for all. ``another_shape`` where names
-    were found whose shape is not what the states show.
+    were found whose shape is not what the states show; ``refuted`` names that something else contradicts.
     """
 
     base: QuasiFit
@@ -70,6 +70,7 @@ class Causes:
     coarse: bool = False
     kinds: Sequence[str] | None = None
     another_shape: bool = False
+    refuted: tuple[str, ...] = ()
 
 
 def find_causes(
@@ -161,7 +162,8 @@ def find_causes(
         )
         verdict = Verdict.UNKNOWN
     named = [r for r in found.rounds if r.equivalent]
-    against = [*undetermined(named), *already_there(named)]
+    own_terms = already_there(named)
+    against = [*undetermined(named), *own_terms.values()]
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN
@@ -189,7 +191,11 @@ def find_causes(
     steps = _steps(found, series, setting, kept) if sized else series.substeps
     clock.stop()
     coarse, another = worth > 0.0, shape is not None
-    return Causes(base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another)
+    # what shows only beside a term of the model acts elsewhere than its name says
+    refuted = tuple(r.refits[0].effect.name for r in named) if own_terms else ()
+    return Causes(
+        base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another, refuted
+    )
 
 
 def told_together(base: QuasiFit) -> list[str]:

@@ -45,8 +45,8 @@ def test_a_term_of_the_model_is_no_second_cause(rhos, said):
     screen = SimpleNamespace(scores=scores)
     rounds = [SimpleNamespace(screen=screen, refits=(SimpleNamespace(effect=e),)) for e in effects]
     told = already_there(rounds)
-    assert [text.split()[0] for text in told] == said
-    assert all("cubic-sensor:reading" in text for text in told)
+    assert list(told) == said
+    assert all("cubic-sensor:reading" in text for text in told.values())
     assert not already_there(rounds[1:])  # alone it is none of the model's
 
 

@@ -144,6 +144,24 @@ def test_what_loses_on_data_not_seen_is_not_named(likelihood, held_out, missing,
     assert (said.reason == asked.reason) == (answer is Verdict.NAMED)
 
 
+@pytest.mark.parametrize(
+    ("free_run", "decides"), [(["path:u->x", "cubic-sensor:y"], False), (["path:u->x"], True)]
+)
+def test_a_pair_with_a_name_that_the_likelihood_refuted_is_not_named(free_run, decides):
+    """A bent sensor showed beside a direct path of the model; the free run named it beside another path."""
+    named = [
+        SimpleNamespace(effect=SimpleNamespace(name=n)) for n in ("cubic-sensor:y", "direct:u->y")
+    ]
+    alarm = SimpleNamespace(p_near=0.5, p_size=0.01, p_gain=0.1, probability="p = 0.01")
+    first = SimpleNamespace(alarmed=True, alarm=alarm)
+    search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)], alone=None)
+    refuted = ("cubic-sensor:y", "direct:u->y")
+    causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=False, refuted=refuted)
+    said, reason = _decided(causes, False, named, search)
+    assert said is decides
+    assert ("cubic-sensor:y, of what the free run finds, is refuted" in reason) is not decides
+
+
 @pytest.mark.parametrize(("free_run", "decides"), [(["cubic:x"], False), (["drag:x"], True)])
 def test_a_shape_that_the_likelihood_refuted_is_refuted_for_the_free_run(free_run, decides):
     """A reactor's product of two states, nearly free of noise, was named as what imitates it."""
@@ -152,7 +170,7 @@ def test_a_shape_that_the_likelihood_refuted_is_refuted_for_the_free_run(free_ru
     first = SimpleNamespace(alarmed=True, alarm=alarm)
     search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)], alone=None)
     for refuted in (True, False):
-        causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=refuted)
+        causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=refuted, refuted=())
         said, reason = _decided(causes, False, named, search)
         assert said is (decides or not refuted)
         assert ("another shape" in reason) is not said
