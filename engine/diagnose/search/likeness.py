@@ -24,6 +24,8 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
     Where neither does, both stay; and so do a sensor's lasting fault and one of the plant: another repair.
     """
     refits = [r for r in refits if not merely_wider(r, refits)]
+    if len(refits) < 2:
+        return tuple(refits)
     terms = [held_out_terms(r.fit, series) for r in refits]
     ranks = [rank((r.effect,), setting) for r in refits]
 
