@@ -3,7 +3,9 @@
 Without the effect the parameters go far off to explain some of it, perhaps to another basin of the likelihood.
 What the screen sees from there is bent too, and refits that begin there may end in a maximum that is not the
 highest. So all effects are screened again at parameters that are not bent, those the model was given with and
-those of the refit that leads, and the best are refitted from there, too.
+those of the refit that leads, and the best are refitted from there, too. So is what looks like the one that
+leads: from the bent fit a lag of a sensor may seem to want a negative time, and is not refitted there, and
+beside the parameters of a lag of the input its slope at no lag is less than those of eight others.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ def from_elsewhere(
         except (EngineError, np.linalg.LinAlgError):
             continue
         fall = 2.0 * (fit.log_likelihood - value)
-        for score in _best(seen, series):
+        for score in _asked(seen, leading.effect, series):
             best = max(r.score for r in (*refits, *found))
             once = partial(refit, there, series, score, best + fall)
             try:
@@ -85,10 +87,18 @@ def _places(fit: QuasiFit, leading: Refit, own: Sequence[str]) -> dict[str, Thet
     }
 
 
-def _best(seen: Screen, series: Series) -> list[Score]:
-    """The effects that are worth most from there."""
+def _asked(seen: Screen, leading: Effect, series: Series) -> list[Score]:
+    """The effects that are worth most from there, and those that look like the one that leads."""
     named = [s for s in seen.scores if s.statistic > 0.0]
-    return sorted(named, key=lambda s: cost(s.effect, series) - s.statistic)[:REFITS]
+    ranked = sorted(named, key=lambda s: cost(s.effect, series) - s.statistic)
+    alike = (s for s in ranked[REFITS:] if _alike(s.effect, leading))
+    return [*ranked[:REFITS], *alike]
+
+
+def _alike(one: Effect, other: Effect) -> bool:
+    """Whether either says so, at the same place or at one of another sort."""
+    near = one.channel == other.channel or one.family != other.family
+    return near and (one.kind in other.look_alikes or other.kind in one.look_alikes)
 
 
 def _of_noise(effect: Effect) -> bool:

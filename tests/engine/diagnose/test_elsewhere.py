@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.catalogue import all_effects, make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.search import refitting
-from engine.diagnose.search.elsewhere import bent
+from engine.diagnose.search.elsewhere import REFITS, _asked, bent
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.verdict import detectable_of
 from tests.engine.hidden_effects import DRIVE, hidden
@@ -81,3 +81,31 @@ def test_what_the_bent_fit_cannot_test_is_found_from_elsewhere(monkeypatch):
     assert sure.refits[0].effect is other
     assert sure.screen.p_value == 0.01  # of 99 draws
     assert [one.testable for one in detectable_of(sure.screen)] == [True, False]
+
+
+def test_what_looks_like_the_one_that_leads_is_asked_from_elsewhere():
+    """The lag of a fridge's sensor was taken for one of its compressor, though likelier by far."""
+    setting = Setting(DRIVE)
+    names = [
+        f"{kind}:speed" for kind in ("drag", "cubic", "coulomb", "linear", "quadratic", "force")
+    ]
+    names += [
+        "bias:reading",
+        "gain:reading",
+        "saturation:speed",
+        "slow-sensor:reading",
+        "drift:reading",
+    ]
+    scores = []
+    for k, name in enumerate(names):
+        effect = make_effect(name, setting)
+        scores.append(Score(effect, 900.0 - 80.0 * k, 0.5, 0.1, 1e-6, 0.5, (), 1.0, 1))
+    n = len(scores)
+    seen = Screen(tuple(scores), 0.001, 9.0, np.eye(n), np.full(99, 0.5))
+    series = hidden([], {}, 1)
+    lag = next(effect for effect in all_effects(setting) if effect.kind == "slow-input")
+    asked = [score.effect.name for score in _asked(seen, lag, series)]
+    assert "slow-sensor:reading" in asked
+    assert len(asked) == REFITS + 1
+    other = make_effect("drag:speed", setting)
+    assert len(_asked(seen, other, series)) == REFITS
