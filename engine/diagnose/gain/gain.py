@@ -283,8 +283,8 @@ def gain_of(base: QuasiFit, scored: Sequence[Scored], how: str, seed: int) -> Ga
     worse = [o.output for o in runs_changed(outputs)[1]]
     if worse and p_gain > TEST_LEVEL:
         notes.append(
-            f"The extended model simulates {enumerated(worse)} worse, and does not clearly predict better: it "
-            "explains the data as noise and not by a cause."
+            f"The extended model simulates {enumerated(worse)} worse, and does not clearly predict better: "
+            "what it has not seen does not speak for it."
         )
     return Gain(
         how=how,

@@ -467,3 +467,7 @@ def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted
     assert gain.outputs[0].interval_difference[0] > 0.0
     assert gain.p_value > 0.05
     assert not gain.adopt
+    (said,) = [note for note in gain.notes if "simulates" in note]
+    assert (
+        "noise" not in said
+    )  # which that may be, or its own: extensions with a ninth of it were told so, too
