@@ -125,10 +125,10 @@ def refit_best(
     refits = followed(refits, series, fit, progress, kept)
     refits = _beside_look_alikes(refits, fit, series, seen, way, progress, kept)
     if bent(refits, series):
-        further, scores = again(refits, kept)
+        elsewhere, scores = again(refits, kept)
         # at the bent fit an effect may not be testable at all, as a correlation with a noise that went to 0
         seen = seen.with_untested(scores)
-        refits = _best_of_each([*refits, *further])
+        refits = _best_of_each([*refits, *elsewhere])
         refits = followed(refits, series, fit, progress, kept.further("from elsewhere"))
     return settle(seen, without_one_of_many(refits, series), series, setting)
 
