@@ -101,7 +101,8 @@ class HeldOut:
             if heeded.decides:
                 return Judged(verdict, causes, before, after, gain, search, heeded)
             return self._by_likelihood(found, verdict, heeded, progress)
-        return self._by_likelihood(found, found.verdict, asked, progress)
+        verdict = Verdict.UNKNOWN if asked.refutes else found.verdict
+        return self._by_likelihood(found, verdict, asked, progress)
 
     def _by_likelihood(
         self, found: Causes, verdict: Verdict, asked: SecondOpinion, progress: Progress

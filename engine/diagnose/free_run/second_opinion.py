@@ -35,7 +35,7 @@ from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.pipeline import Causes
+from engine.diagnose.search.pipeline import NAMES, Causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit
@@ -58,7 +58,8 @@ class SecondOpinion:
     ``likelihood`` is the verdict of the other criterion, with the ``names`` that it chose. ``decides`` whether
     the free run's answer is the diagnosis'; ``reason`` why, or why not, in a sentence; ``alarm`` of the model
     that the likelihood ended with, ``search`` where there was one; both None where no free run can be had.
-    ``missing`` is a force without a name, where no name settles it.
+    ``missing`` is a force without a name, where no name settles it. ``refutes`` whether the noise that the
+    likelihood named does not explain the free run either, and is not named.
     """
 
     likelihood: Verdict
@@ -68,6 +69,7 @@ class SecondOpinion:
     alarm: Alarm | None = None
     search: FreeRunSearch | None = None
     missing: MissingFunction | None = None
+    refutes: bool = False
 
 
 def second_opinion(
@@ -111,6 +113,12 @@ def second_opinion(
         seen = beside.alarm(seed, level)
         progress(STAGE, ALARM_SHARE)
         if seen.p_value > level:
+            if _is_noise_alone(causes):
+                by_name = _beside(causes.search.final, records, given, held, kinds)
+                left = by_name.alarm(seed, alpha)
+                if left.p_value <= alpha:
+                    reason = f"{_stands_for_more(left)}{_part(records, given)}"
+                    return SecondOpinion(*said, False, reason, left, refutes=True)
             extended = settled and bool(named)
             reason = f"{_noise_explains(seen, level, extended)}{_part(records, given)}"
             # a function of a signal follows what noise did, too, wherever noise adds up
@@ -256,6 +264,21 @@ def _names_no_other(named: Sequence[Refit], found: FreeRunSearch) -> bool:
     """Whether the free run has names, and the likelihood has all of them."""
     answer = {refit.effect.name for refit in named}
     return bool(found.found) and all(answer.issuperset(c.names) for c in found.found)
+
+
+def _is_noise_alone(causes: Causes) -> bool:
+    """Whether what the likelihood names is nothing but noise: its free run is the model's as given."""
+    named = [refit.effect for r in causes.search.rounds for refit in r.equivalent]
+    every = bool(named) and all(effect.family == "noise" for effect in named)
+    return every and causes.verdict in NAMES
+
+
+def _stands_for_more(seen: Alarm) -> str:
+    """Why noise is not named."""
+    return (
+        f"Noise that is named one step ahead must explain the free run, too, and does not: {_too_far(seen)}. "
+        "It stands for something else, so it is not named."
+    )
 
 
 def _too_far(seen: Alarm) -> str:

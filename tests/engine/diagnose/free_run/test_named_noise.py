@@ -1,0 +1,60 @@
+"""Noise that is named one step ahead is not, where it does not explain what the free run gets wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import engine
+from engine.diagnose.free_run import second_opinion
+from engine.diagnose.free_run.null import Alarm
+from engine.diagnose.search.findings import Verdict
+
+
+def discharge():
+    """A capacitor through a resistor, as its model is written by hand."""
+    return engine.continuous(
+        name="discharge",
+        drift=lambda a, u, t, th: ([-a[:, 0] / th.tau], np.zeros((1, 0))),
+        diffusion=lambda a, u, t, th: [[th.q]],
+        measurement=lambda a, u, t, th: ([a[:, 0] + th.offset], np.zeros((1, 0)), [[th.r]]),
+        initial=lambda th: (engine.Gaussian([th.V0], [[1e-4]]), [], np.zeros((0, 0))),
+        nonlinear={"V": "V"},
+        outputs={"volts": "V"},
+        parameters=[
+            engine.Parameter("tau", 0.44, "s", (0.01, 10.0)),
+            engine.Parameter("V0", 8.9, "V", (0.0, 20.0)),
+            engine.Parameter("offset", 0.3, "V", (-2.0, 2.0)),
+            engine.Parameter("q", 1e-3, "V^2/s", (1e-10, 10.0)),
+            engine.Parameter("r", 1e-4, "V^2", (1e-10, 10.0)),
+        ],
+    )
+
+
+def smoothed(seed):
+    """Readings of which each is half the one before: what that gets wrong is large at the beginning."""
+    rng, t = np.random.default_rng(seed), 0.04 * np.arange(50)
+    y = 0.3 + 8.9 * np.exp(-t / 0.42) + 0.004 * rng.standard_normal(50)
+    for k in range(1, 50):
+        y[k] = 0.5 * (y[k - 1] + y[k])
+    return engine.Series(y, t=t, y_names=("volts",))
+
+
+def test_it_is_left_open(monkeypatch):
+    asked = []
+
+    def alarm(self, seed, level):
+        named = "variance_V_V" in self.start.model.parameter_names
+        asked.append(named)
+        p = 1.0 / 300.0 if named else 1.0
+        return Alarm(p / 3.0, 1.0, 1.0, 0.05, 0.04, 3.0)
+
+    model, series = discharge(), smoothed(1)
+    named = engine.diagnose(model, series, effects=["variance"])
+    assert named.verdict is Verdict.NAMED  # nothing else is looked for
+    assert named.causes[0].effect.startswith("variance:")
+    monkeypatch.setattr(second_opinion._Beside, "alarm", alarm)
+    found = engine.diagnose(model, series, effects=["variance"])
+    assert asked == [False, True] * (len(asked) // 2)
+    assert found.verdict is Verdict.UNKNOWN
+    assert "so it is not named" in str(found)
+    assert "NOT adopted" in str(found)
