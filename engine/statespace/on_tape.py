@@ -7,7 +7,7 @@ where it says something else its tape is given up, and the work is done by calls
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -20,6 +20,7 @@ from engine.statespace.rows import Array
 from engine.statespace.tape import LeftError, Lines, Tape, lines_of, record_tape
 
 SHORTEST = 40  # rows of a record, below which recording takes longer than it saves
+WAYS = 4  # through a function, by what its parameters are
 MOST_LEFT = 2  # times that a tape is left before it was gone through as often
 NEW = 3  # passes of a tape, which are looked at from their beginning, too
 SAME = 1e-9  # of the largest entry of its kind
@@ -27,14 +28,30 @@ SAME = 1e-9  # of the largest entry of its kind
 
 @dataclass
 class _Kept:
-    """The ``tape`` of a function, None where it has none; how often it was gone through, and left."""
+    """The ``tapes`` of a function, one for each way that its parameters take through it.
 
-    tape: Tape | None
+    So many ``ways`` were recorded; how often they were gone through, and left. It is called where it is ``over``.
+    """
+
+    tapes: list[Tape] = field(default_factory=list)
+    ways: int = 0
+    over: bool = False
     passes: int = 0
     left: int = 0
 
+    def lines(self, thetas: Array, copies: int, dt: float | None) -> Lines | None:
+        """The lines of the tape whose way these parameters take, None where there is none."""
+        for tape in self.tapes:
+            try:
+                found = lines_of(tape, thetas, copies, dt)
+            except LeftError:
+                continue
+            self.over = found is None  # something that no kernel does
+            return found
+        return None
 
-_TAPES: WeakKeyDictionary[ModelFunction, _Kept] = WeakKeyDictionary()
+
+_KEPT: WeakKeyDictionary[ModelFunction, _Kept] = WeakKeyDictionary()
 
 
 @dataclass
@@ -62,7 +79,7 @@ class OnTape:
         return lines.codes, lines.links, lines.space, lines.places, lines.results, self.results
 
     def agrees(self, t: int, a: Array | None = None) -> bool:
-        """Whether a call at row t says the same, at states a (K S, na) or the last; else there is no tape."""
+        """Whether a call at row t says the same, at states a (K S, na) or the last; else no tape is used."""
         lines = self.lines
         if a is None:
             a = lines.points
@@ -73,8 +90,8 @@ class OnTape:
         there = np.asarray(np.isfinite(a).all(axis=1))  # nothing is made of what others say
         pairs = zip(self.results, self.call(t, a), strict=True)
         if not all(_same(taped, called, there) for taped, called in pairs):
-            self.kept.tape = None
-        return self.kept.tape is not None
+            self.kept.over = True
+        return not self.kept.over
 
     def begins_well(self, a: Array) -> bool:
         """Whether it is what a call says at the first row, at states a (K S, na); asked while it is new."""
@@ -87,7 +104,7 @@ class OnTape:
         else:
             self.kept.left += 1
             if self.kept.left > max(MOST_LEFT, self.kept.passes):
-                self.kept.tape = None
+                self.kept.over = True
 
 
 def _same(taped: Array, called: Array, there: NDArray[np.bool_]) -> bool:
@@ -114,18 +131,16 @@ def on_tape(
     called.
     """
     u, t, dt = record
+    kept, copies = _KEPT.setdefault(function, _Kept()), len(a) // len(thetas)
     first = u[0], float(t[0]), float(dt[0])
-    if function not in _TAPES:
-        _TAPES[function] = _Kept(record_tape(function, a[0], *first, theta))
-    kept = _TAPES[function]
-    if kept.tape is None:
-        return None
-    even = bool((dt[:-1] == dt[0]).all())
-    try:
-        lines = lines_of(kept.tape, thetas, len(a) // len(thetas), first[2] if even else None)
-    except LeftError:
-        return None
-    if lines is None:
-        kept.tape = None
-        return None
-    return OnTape(kept, lines, call, u, t, dt, function.shapes)
+    step = first[2] if (dt[:-1] == dt[0]).all() else None
+    lines = None if kept.over else kept.lines(thetas, copies, step)
+    if lines is None and not kept.over and kept.ways < WAYS:
+        kept.ways += 1
+        tape = record_tape(function, a[0], *first, theta)
+        if tape is None:
+            kept.over = not kept.tapes
+        else:
+            kept.tapes.append(tape)
+            lines = kept.lines(thetas, copies, step)
+    return None if lines is None else OnTape(kept, lines, call, u, t, dt, function.shapes)

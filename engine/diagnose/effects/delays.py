@@ -280,7 +280,7 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         within = (done > 0.0) & (done < 1.0)
         if model.continuous and within.any():
             left = np.where(within, 1.0 - done, 1.0)[:, 0] * dt
-            left = left if left.size == M else float(left[0])
+            left = left if left.size == M > 1 else left[0].item()
             here = model.transition(a, u, t, left, record)[0]
             after = np.where(within, gain(model.transition, here, a, u, t, left, record), after)
         moved(f, A, [(g - after, first), (after, rest)], u)

@@ -184,6 +184,18 @@ def test_a_condition_that_turns_out_otherwise_leaves_the_tape(monkeypatch):
     assert np.isfinite(called.log_likelihood).all()
 
 
+def test_each_way_that_parameters_take_has_a_tape_of_its_own(monkeypatch):
+    def by_parameter(a, u, t, dt, theta):
+        return (0.5 * a if theta.k > 0.9 else theta.k * a), np.zeros((1, 0)), [[0.01]]
+
+    model, series = level(by_parameter), series_for(level(by_parameter), 1)
+    for k in (0.8, 0.95, 0.7, 0.99):
+        assert_same(*both(model, np.array([[k], [k + 1e-6]]), series, monkeypatch))
+    taped, called = both(model, np.array([[0.8], [0.95]]), series, monkeypatch)
+    assert taped is None  # rows on both
+    assert np.isfinite(called.log_likelihood).all()
+
+
 def test_one_that_always_holds_does_not(monkeypatch):
     def guarded(a, u, t, dt, theta):
         return (theta.k if t > -1.0 else 0.5) * a, np.zeros((1, 0)), [[0.01]]
