@@ -30,7 +30,7 @@ SAME = 1e-9  # of the largest entry of its kind
 class _Kept:
     """The ``tapes`` of a function, one for each way that its parameters take through it.
 
-    So many ``ways`` were recorded; how often they were gone through, and left. It is called where it is ``over``.
+    So many ``ways`` were recorded; how often they were gone through, and left. It is called where ``over``.
     """
 
     tapes: list[Tape] = field(default_factory=list)
