@@ -30,14 +30,20 @@ SAME = 1e-9  # of the largest entry of its kind
 class _Kept:
     """The ``tapes`` of a function, one for each way that its parameters take through it.
 
-    So many ``ways`` were recorded; how often they were gone through, and left. It is called where ``over``.
+    So many ``ways`` were recorded; how often they were gone through, and left. It is called where ``over``, and
+    at uneven steps where it is ``even_only``.
     """
 
     tapes: list[Tape] = field(default_factory=list)
     ways: int = 0
     over: bool = False
+    even_only: bool = False
     passes: int = 0
     left: int = 0
+
+    def has_any(self, dt: float | None) -> bool:
+        """Whether there may be a tape for steps of ``dt``, or for uneven ones."""
+        return not (self.over or (dt is None and self.even_only))
 
     def lines(self, thetas: Array, copies: int, dt: float | None) -> Lines | None:
         """The lines of the tape whose way these parameters take, None where there is none."""
@@ -46,7 +52,8 @@ class _Kept:
                 found = lines_of(tape, thetas, copies, dt)
             except LeftError:
                 continue
-            self.over = found is None  # something that no kernel does
+            if found is None:  # something that no kernel does
+                self.even_only, self.over = True, dt is not None
             return found
         return None
 
@@ -134,8 +141,8 @@ def on_tape(
     kept, copies = _KEPT.setdefault(function, _Kept()), len(a) // len(thetas)
     first = u[0], float(t[0]), float(dt[0])
     step = first[2] if (dt[:-1] == dt[0]).all() else None
-    lines = None if kept.over else kept.lines(thetas, copies, step)
-    if lines is None and not kept.over and kept.ways < WAYS:
+    lines = kept.lines(thetas, copies, step) if kept.has_any(step) else None
+    if lines is None and kept.has_any(step) and kept.ways < WAYS:
         kept.ways += 1
         tape = record_tape(function, a[0], *first, theta)
         if tape is None:

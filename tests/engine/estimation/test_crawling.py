@@ -12,11 +12,11 @@ def crawling(monkeypatch):
     """A search of which each step gains a hundredth of a nat, whatever the slopes promise."""
     derivatives = module.derivatives
 
-    def step(model, every, theta, indices, direction, value, expected, visited):
+    def step(model, every, theta, indices, direction, value, expected, visited, whole):
         moved = theta.copy()
         moved[indices] += 1e-6 * direction
         _, g, H = derivatives(model, every, moved, indices)
-        return moved, (value + 0.01, 1e3 * g, H)
+        return moved, (value + 0.01, 1e3 * g, H), whole
 
     monkeypatch.setattr(module, "_step", step)
     model = get_model("mixed-4")

@@ -161,6 +161,14 @@ def test_uneven_steps_and_records_one_after_the_other(name, monkeypatch):
     assert_same(*both(model, thetas_of(model, 4), two, monkeypatch))
 
 
+def test_a_model_that_has_none_for_uneven_steps_keeps_the_one_for_even_ones(monkeypatch):
+    model = get_model("oscillator")
+    theta = thetas_of(model, 4)
+    taped, _ = both(model, theta, series_for(model, 5, even=False), monkeypatch)
+    assert taped is None
+    assert_same(*both(model, theta, series_for(model, 5), monkeypatch))
+
+
 def level(dynamics):
     return MixedModel(
         name="level",
