@@ -134,7 +134,7 @@ def find_causes(
         found = other.search
         notes.append(other.note)
     clock.progress("contradictions", 0.0)
-    found, worth = _widened(found, series, setting)
+    found, worth = _widened(found, series, setting, kept)
     if worth:
         notes.append(
             "What the steps of the model get wrong is worth as much as the lead of a name over others "
@@ -256,7 +256,7 @@ def _as_said(first: Effect, found: Search, series: Series) -> tuple[QuasiFit, Se
     return found.final, series
 
 
-def _widened(found: Search, series: Series, setting: Setting) -> tuple[Search, float]:
+def _widened(found: Search, series: Series, setting: Setting, kept: Kept) -> tuple[Search, float]:
     """The search with a first round that names all between which the error of the steps may decide.
 
     And what that error is worth, 0 where it decides nothing.
@@ -266,7 +266,9 @@ def _widened(found: Search, series: Series, setting: Setting) -> tuple[Search, f
         return found, 0.0
     first, names = named[0], [r.refits[0].effect.name for r in named]
     try:
-        worth = decides(first, names, found.final, series, setting)
+        worth = decides(
+            first, names, found.final, series, setting, kept.within("half steps"), ENOUGH
+        )
     except (EngineError, np.linalg.LinAlgError):
         return found, 0.0
     if not worth:

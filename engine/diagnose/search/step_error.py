@@ -19,16 +19,19 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import extend
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, Round, settle
 from engine.diagnose.search.substeps import can_be_finer
 from engine.errors import EngineError
 from engine.estimation.long_steps import apart as predictions_apart
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.filters.sigma_point import moment_filter
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.model import MixedModel
 
 EXPLAINED = 0.5  # of a likelihood ratio, from which steps half as long explain it
 WHOLE = 4.0  # times what half of an error is worth
+REACH = 4.0  # times what the error of the steps is worth to first order, for a refit to gain by shorter ones
+NEAREST = 3  # rivals that are asked whether the lead over them outlasts shorter steps
 MOVED = 0.5  # standard errors by which steps half as long may move a parameter
 
 
@@ -48,7 +51,7 @@ def by_shorter_steps(
     if not can_be_finer(setting, series, theta[: len(model.parameters)]):
         return 0.0
     finer, extended = _finer(model, names, fit, series)
-    if WHOLE * apart(fit.model, extended, theta, series, finer) < EXPLAINED * gain:
+    if WHOLE * apart(fit, extended, series, finer) < EXPLAINED * gain:
         return 0.0  # so small an error cannot be worth so much
     gained = _gained(extended, fit, finer, kept)
     return gained if gained >= EXPLAINED * gain else 0.0
@@ -81,21 +84,63 @@ def ranked_anew(
 
 
 def decides(
-    found: Round, names: Sequence[str], fit: QuasiFit, series: Series, setting: Setting
+    found: Round,
+    names: Sequence[str],
+    fit: QuasiFit,
+    series: Series,
+    setting: Setting,
+    kept: Kept,
+    enough: int,
 ) -> float:
     """What the error of the steps is worth, 2 x log-likelihood, where it may decide a first round; else 0.
 
     ``fit`` is of the model with all effects that were found, ``names``. It may where it is worth as much as the
-    lead over others is.
+    lead over others is, but if with ``enough`` steps a sample, after which none are halved, the lead is seen to
+    outlast that; and where another, as friction that turns within a step, comes near the one that leads with
+    steps half as long, which may change nothing for that one.
     """
     model, theta = setting.model, np.asarray(fit.theta)
     if not can_be_finer(setting, series, theta[: len(model.parameters)]):
         return 0.0
-    finer, extended = _finer(model, names, fit, series)
-    worth = WHOLE * apart(fit.model, extended, theta, series, finer)
-    others = [one.score for one in found.refits if one not in found.equivalent]
-    lead = found.refits[0].score - max([0.0, *others])
-    return worth if worth > max(lead, MARGIN) else 0.0
+    best = found.refits[0]
+    others = [
+        one
+        for one in found.refits
+        if one not in found.equivalent
+        and not (one.effect.traits.outliers or one.effect.traits.unnamed)
+    ]
+
+    def with_it(one: Refit) -> list[str]:
+        """The effects of a refit's model: in a search that looked back those of the other rounds, too."""
+        alone = len(one.fit.theta) == len(model.parameters) + len(one.effect.parameters)
+        beside = [] if alone else [name for name in names if name != best.effect.name]
+        return [one.effect.name, *beside]
+
+    def by_half(one: Refit) -> float:
+        finer, extended = _finer(model, with_it(one), one.fit, series)
+        return one.score + _gained(extended, one.fit, finer, kept.within(one.effect.name))
+
+    def come_near(rivals: Sequence[Refit]) -> list[float]:
+        """How far those are behind that are no longer so with steps half as long."""
+        if not rivals:
+            return []
+        least = by_half(best) - MARGIN
+        return [best.score - one.score for one in rivals if by_half(one) > least]
+
+    lead = best.score - max([0.0, *(one.score for one in others)])
+    worth = _worth(model, names, fit, series)
+    if worth > max(lead, MARGIN):
+        nearest = [one for one in others if one.score > max(best.score - worth, 0.0)][:NEAREST]
+        if series.substeps < enough or come_near(nearest):
+            return worth
+    behind = [
+        one
+        for one in others
+        if best.score > one.score > 0.0
+        and REACH * _worth(model, with_it(one), one.fit, series)
+        > max(best.score - one.score, MARGIN)
+    ]
+    return max(come_near(behind), default=0.0)
 
 
 def steps_for_sizes(
@@ -111,11 +156,11 @@ def steps_for_sizes(
         return k
     while k < most:
         finer, extended = _finer(model, names, fit, series)
-        theta = np.asarray(fit.theta)
-        if WHOLE * apart(fit.model, extended, theta, series, finer) < MOVED**2:
+        if WHOLE * apart(fit, extended, series, finer) < MOVED**2:
             break  # so small an error moves nothing by as much
+        theta = np.asarray(extended.theta(fit.theta.asdict()))
         again = _refitted(extended, fit, finer, kept)
-        free = fit.model.free_indices(fit.free)
+        free = extended.free_indices(fit.free)
         variance = np.diag(np.linalg.pinv(again.information, hermitian=True))
         if ((np.asarray(again.theta) - theta)[free] ** 2 <= MOVED**2 * variance).all():
             break
@@ -132,6 +177,12 @@ def _finer(
     return finer, extend(model, names, setting_for(model, finer, base))
 
 
+def _worth(model: MixedModel, names: Sequence[str], fit: QuasiFit, series: Series) -> float:
+    """What the error of the steps of an extended model is worth, 2 x log-likelihood, to first order."""
+    finer, extended = _finer(model, names, fit, series)
+    return WHOLE * apart(fit, extended, series, finer)
+
+
 def _gained(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> float:
     try:
         refitted = _refitted(extended, fit, finer, kept)
@@ -142,13 +193,16 @@ def _gained(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> f
 
 def _refitted(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> QuasiFit:
     return kept.further("half steps").fit(
-        extended, lambda: quasi_ml(extended, finer, np.asarray(fit.theta), fit.free)
+        extended, lambda: quasi_ml(extended, finer, fit.theta.asdict(), fit.free)
     )
 
 
-def apart(
-    model: MixedModel, other: MixedModel, theta: Array, series: Series, finer: Series
-) -> float:
-    """Squared differences of one-step predictions at the samples, in their own scatter, summed."""
-    one, two = (moment_filter(m, theta, s) for m, s in ((model, series), (other, finer)))
+def apart(fit: QuasiFit, other: MixedModel, series: Series, finer: Series) -> float:
+    """Squared differences of one-step predictions at the samples, in their own scatter, summed.
+
+    ``other`` is the fit's model for the ``finer`` record; its parameters may stand in another order.
+    """
+    same = np.asarray(other.theta(fit.theta.asdict()))
+    pairs = ((fit.model, np.asarray(fit.theta), series), (other, same, finer))
+    one, two = (moment_filter(m, theta[None], s) for m, theta, s in pairs)
     return predictions_apart(one, series, two, finer)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from engine.diagnose import Effect, extend, register_effect
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import Split, on_base, pushed
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search import step_error
 from engine.diagnose.search.checkpoint import NOTHING
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.step_error import steps_for_sizes
@@ -159,3 +162,36 @@ def test_sizes_need_steps_of_which_shorter_ones_move_nothing(drag, steps):
     again = quasi_ml(extend(DRIVE, ["drag:speed"], setting_for(DRIVE, finer, DRIVE.theta())), finer)
     error = np.sqrt(np.linalg.inv(again.information)[-1, -1])
     assert abs(np.asarray(again.theta)[-1] - drag) < 3.0 * error
+
+
+@pytest.mark.parametrize(
+    ("scores", "worths", "gains", "substeps", "worth"),
+    [
+        # a dead zone of the input has no error of the steps, friction that turns within one has
+        ((500.0, 390.0), (0.0, 80.0), (0.0, 150.0), 2, 110.0),
+        ((500.0, 390.0), (0.0, 80.0), (0.0, 20.0), 2, 0.0),  # half steps do not bring it near
+        ((500.0, 390.0), (0.0, 10.0), (0.0, 150.0), 2, 0.0),  # so small an error cannot
+        ((500.0, 390.0), (200.0, 0.0), (50.0, 0.0), 2, 200.0),  # looked for again by shorter ones
+        ((500.0, 390.0), (200.0, 0.0), (50.0, 0.0), 4, 0.0),  # the last ones: the lead outlasts it
+        ((500.0, 390.0), (200.0, 0.0), (-110.0, 0.0), 4, 200.0),
+    ],
+)
+def test_what_the_steps_decide(scores, worths, gains, substeps, worth, monkeypatch):
+    traits = SimpleNamespace(outliers=False, unnamed=False)
+    refits: Any = [
+        SimpleNamespace(
+            effect=SimpleNamespace(name=str(k), traits=traits, parameters=("size",)),
+            score=score,
+            fit=SimpleNamespace(k=k, theta=np.zeros(1)),
+        )
+        for k, score in enumerate(scores)
+    ]
+    found: Any = SimpleNamespace(refits=refits, equivalent=refits[:1])
+    setting: Any = SimpleNamespace(model=SimpleNamespace(parameters=()))
+    series: Any = SimpleNamespace(substeps=substeps)
+    monkeypatch.setattr(step_error, "can_be_finer", lambda *_: True)
+    monkeypatch.setattr(step_error, "_finer", lambda *_: (series, None))
+    monkeypatch.setattr(step_error, "_worth", lambda model, names, fit, series: worths[fit.k])
+    monkeypatch.setattr(step_error, "_gained", lambda extended, fit, finer, kept: gains[fit.k])
+    asked = found, ["0"], refits[0].fit, series, setting, NOTHING, 4
+    assert step_error.decides(*asked) == worth
