@@ -97,7 +97,8 @@ def decides(
     ``fit`` is of the model with all effects that were found, ``names``. It may where it is worth as much as the
     lead over others is, but if with ``enough`` steps a sample, after which none are halved, the lead is seen to
     outlast that; and where another, as friction that turns within a step, comes near the one that leads with
-    steps half as long, which may change nothing for that one.
+    shorter steps, which may change nothing for that one. Errors of the steps are in proportion to them, so what
+    the last halving gained is more than further ones would.
     """
     model, theta = setting.model, np.asarray(fit.theta)
     if not can_be_finer(setting, series, theta[: len(model.parameters)]):
@@ -116,16 +117,23 @@ def decides(
         beside = [] if alone else [name for name in names if name != best.effect.name]
         return [one.effect.name, *beside]
 
-    def by_half(one: Refit) -> float:
-        finer, extended = _finer(model, with_it(one), one.fit, series)
-        return one.score + _gained(extended, one.fit, finer, kept.within(one.effect.name))
+    def shorter(one: Refit) -> tuple[float, float]:
+        """The score with steps half as long, and again up to ``enough``; what the last ones gained."""
+        finer, fit, score, own = series, one.fit, one.score, kept.within(one.effect.name)
+        while True:
+            finer, extended = _finer(model, with_it(one), fit, finer)
+            again = _refitted(extended, fit, finer, own)
+            gained = 2.0 * (again.log_likelihood - fit.log_likelihood)
+            score, fit, own = score + gained, again, own.further("half steps")
+            if finer.substeps >= enough or gained < MARGIN:
+                return score, max(gained, 0.0)
 
     def come_near(rivals: Sequence[Refit]) -> list[float]:
-        """How far those are behind that are no longer so with steps half as long."""
+        """How far those are behind that are no longer so, or may not be by steps that are shorter still."""
         if not rivals:
             return []
-        least = by_half(best) - MARGIN
-        return [best.score - one.score for one in rivals if by_half(one) > least]
+        least = shorter(best)[0] - MARGIN
+        return [best.score - one.score for one in rivals if sum(shorter(one)) > least]
 
     lead = best.score - max([0.0, *(one.score for one in others)])
     worth = _worth(model, names, fit, series)

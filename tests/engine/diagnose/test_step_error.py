@@ -168,12 +168,13 @@ def test_sizes_need_steps_of_which_shorter_ones_move_nothing(drag, steps):
     ("scores", "worths", "gains", "substeps", "worth"),
     [
         # a dead zone of the input has no error of the steps, friction that turns within one has
-        ((500.0, 390.0), (0.0, 80.0), (0.0, 150.0), 2, 110.0),
-        ((500.0, 390.0), (0.0, 80.0), (0.0, 20.0), 2, 0.0),  # half steps do not bring it near
-        ((500.0, 390.0), (0.0, 10.0), (0.0, 150.0), 2, 0.0),  # so small an error cannot
-        ((500.0, 390.0), (200.0, 0.0), (50.0, 0.0), 2, 200.0),  # looked for again by shorter ones
-        ((500.0, 390.0), (200.0, 0.0), (50.0, 0.0), 4, 0.0),  # the last ones: the lead outlasts it
-        ((500.0, 390.0), (200.0, 0.0), (-110.0, 0.0), 4, 200.0),
+        ((500.0, 390.0), (0.0, 80.0), ((0.0,), (150.0,)), 2, 110.0),
+        ((500.0, 300.0), (0.0, 80.0), ((0.0,), (60.0, 80.0)), 1, 200.0),  # near by two halvings
+        ((500.0, 390.0), (0.0, 80.0), ((0.0,), (20.0,)), 2, 0.0),  # not near by shorter ones
+        ((500.0, 390.0), (0.0, 10.0), ((0.0,), (150.0,)), 2, 0.0),  # so small an error cannot
+        ((500.0, 390.0), (200.0, 0.0), ((50.0,), (0.0,)), 2, 200.0),  # looked for again
+        ((500.0, 390.0), (200.0, 0.0), ((50.0,), (0.0,)), 4, 0.0),  # the last ones: it lasts
+        ((500.0, 390.0), (200.0, 0.0), ((-110.0,), (0.0,)), 4, 200.0),
     ],
 )
 def test_what_the_steps_decide(scores, worths, gains, substeps, worth, monkeypatch):
@@ -182,16 +183,28 @@ def test_what_the_steps_decide(scores, worths, gains, substeps, worth, monkeypat
         SimpleNamespace(
             effect=SimpleNamespace(name=str(k), traits=traits, parameters=("size",)),
             score=score,
-            fit=SimpleNamespace(k=k, theta=np.zeros(1)),
+            fit=SimpleNamespace(k=k, theta=np.zeros(1), log_likelihood=0.0, halved=0),
         )
         for k, score in enumerate(scores)
     ]
+
+    def refitted(extended, fit, finer, kept):
+        """Likelier by so much with steps half as long."""
+        gained = 0.5 * gains[fit.k][fit.halved]
+        return SimpleNamespace(
+            k=fit.k,
+            theta=fit.theta,
+            log_likelihood=fit.log_likelihood + gained,
+            halved=fit.halved + 1,
+        )
+
     found: Any = SimpleNamespace(refits=refits, equivalent=refits[:1])
     setting: Any = SimpleNamespace(model=SimpleNamespace(parameters=()))
-    series: Any = SimpleNamespace(substeps=substeps)
+    halves = lambda model, names, fit, s: (SimpleNamespace(substeps=2 * s.substeps), None)  # noqa: E731
     monkeypatch.setattr(step_error, "can_be_finer", lambda *_: True)
-    monkeypatch.setattr(step_error, "_finer", lambda *_: (series, None))
+    monkeypatch.setattr(step_error, "_finer", halves)
     monkeypatch.setattr(step_error, "_worth", lambda model, names, fit, series: worths[fit.k])
-    monkeypatch.setattr(step_error, "_gained", lambda extended, fit, finer, kept: gains[fit.k])
+    monkeypatch.setattr(step_error, "_refitted", refitted)
+    series: Any = SimpleNamespace(substeps=substeps)
     asked = found, ["0"], refits[0].fit, series, setting, NOTHING, 4
     assert step_error.decides(*asked) == worth
