@@ -156,7 +156,7 @@ def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, v
     base = SimpleNamespace(model=SimpleNamespace(na=0))
     judged = Said(records, Series(np.zeros(160), dt=1.0), 0, objections).judge(
         SimpleNamespace(search=found, verdict=Verdict.SET, base=base, setting=Setting(DRIVE)),
-        SimpleNamespace(decides=False, search=None),
+        SimpleNamespace(decides=False, search=None, refutes=False),
     )
     assert judged.verdict is verdict
     assert set(judged.causes[0].equivalent) == causes
