@@ -30,7 +30,7 @@ from engine.statespace.model import MixedModel
 
 EXPLAINED = 0.5  # of a likelihood ratio, from which steps half as long explain it
 WHOLE = 4.0  # times what half of an error is worth
-REACH = 4.0  # times what the error of the steps is worth to first order, for a refit to gain by shorter ones
+REACH = 10.0  # times what it is worth to first order a refit may gain by shorter steps: noise shrinks as well
 NEAREST = 3  # rivals that are asked whether the lead over them outlasts shorter steps
 MOVED = 0.5  # standard errors by which steps half as long may move a parameter
 
