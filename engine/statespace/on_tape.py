@@ -30,8 +30,8 @@ SAME = 1e-9  # of the largest entry of its kind
 class _Kept:
     """The ``tapes`` of a function, one for each way that its parameters take through it.
 
-    So many ``ways`` were recorded; how often they were gone through, and left. It is called where ``over``, and
-    at uneven steps where it is ``even_only``.
+    So many ``ways`` were recorded; how often they were gone through, and left. From so many passes on they are
+    ``known``. It is called where ``over``, and at uneven steps where it is ``even_only``.
     """
 
     tapes: list[Tape] = field(default_factory=list)
@@ -39,6 +39,7 @@ class _Kept:
     over: bool = False
     even_only: bool = False
     passes: int = 0
+    known: int = 0
     left: int = 0
 
     def has_any(self, dt: float | None) -> bool:
@@ -102,7 +103,7 @@ class OnTape:
 
     def begins_well(self, a: Array) -> bool:
         """Whether it is what a call says at the first row, at states a (K S, na); asked while it is new."""
-        return self.kept.passes >= NEW or self.agrees(0, a)
+        return self.kept.passes >= self.kept.known or self.agrees(0, a)
 
     def note(self, done: bool) -> None:
         """Note whether it was gone through to the end; it is taken no more where most records leave it."""
@@ -149,5 +150,6 @@ def on_tape(
             kept.over = not kept.tapes
         else:
             kept.tapes.append(tape)
+            kept.known = kept.passes + NEW
             lines = kept.lines(thetas, copies, step)
     return None if lines is None else OnTape(kept, lines, call, u, t, dt, function.shapes)

@@ -17,6 +17,7 @@ from engine.filters.sigma_point import moment_filter, moment_path, run_on_tape
 from engine.models.registry import get_model
 from engine.statespace.continuous import continuous
 from engine.statespace.model import Gaussian, MixedModel, Parameter
+from engine.statespace.on_tape import OnTape
 
 T, K = 60, 3
 
@@ -202,6 +203,24 @@ def test_each_way_that_parameters_take_has_a_tape_of_its_own(monkeypatch):
     taped, called = both(model, np.array([[0.8], [0.95]]), series, monkeypatch)
     assert taped is None  # rows on both
     assert np.isfinite(called.log_likelihood).all()
+
+
+def test_a_way_that_is_new_is_looked_at_from_its_beginning(monkeypatch):
+    def by_parameter(a, u, t, dt, theta):
+        return (0.5 * a if theta.k > 0.9 else theta.k * a), np.zeros((1, 0)), [[0.01]]
+
+    model, asked = level(by_parameter), []
+    series = series_for(model, 1)
+
+    def agrees(self, t, a=None):
+        asked.append(t)
+        return True
+
+    monkeypatch.setattr(OnTape, "agrees", agrees)
+    for k, first in ((0.8, 2), (0.8, 2), (0.8, 2), (0.8, 0), (0.95, 1)):
+        asked.clear()
+        assert run_on_tape(FilterSteps(model, Thetas(model, np.array([[k]])), series)) is not None
+        assert asked.count(0) == first  # of the reading and the step
 
 
 def test_one_that_always_holds_does_not(monkeypatch):
