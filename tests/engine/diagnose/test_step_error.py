@@ -200,7 +200,10 @@ def test_what_the_steps_decide(scores, worths, gains, substeps, worth, monkeypat
 
     found: Any = SimpleNamespace(refits=refits, equivalent=refits[:1])
     setting: Any = SimpleNamespace(model=SimpleNamespace(parameters=()))
-    halves = lambda model, names, fit, s: (SimpleNamespace(substeps=2 * s.substeps), None)  # noqa: E731
+
+    def halves(model, names, fit, series):
+        return SimpleNamespace(substeps=2 * series.substeps), None
+
     monkeypatch.setattr(step_error, "can_be_finer", lambda *_: True)
     monkeypatch.setattr(step_error, "_finer", halves)
     monkeypatch.setattr(step_error, "_worth", lambda model, names, fit, series: worths[fit.k])
