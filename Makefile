@@ -57,7 +57,7 @@ bench: setup
 bench-free-run: setup
 	$(BIN)/python -m tests.benchmarks.bench_free_run
 
-# Moment filters through tapes beside filters through calls.
+# Moment filters and free runs through tapes beside those by calls.
 bench-tape: setup
 	$(BIN)/python -m tests.benchmarks.bench_tape
 

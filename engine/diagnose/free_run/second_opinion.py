@@ -267,10 +267,13 @@ def _names_no_other(named: Sequence[Refit], found: FreeRunSearch) -> bool:
 
 
 def _is_noise_alone(causes: Causes) -> bool:
-    """Whether what the likelihood names is nothing but noise: its free run is the model's as given."""
+    """Whether what the likelihood names is nothing but noise: its free run is the model's as given.
+
+    Outliers do not count: they come at times of their own, and no simulation has them where the record does.
+    """
     named = [refit.effect for r in causes.search.rounds for refit in r.equivalent]
-    every = bool(named) and all(effect.family == "noise" for effect in named)
-    return every and causes.verdict in NAMES
+    every = all(effect.family == "noise" and not effect.traits.outliers for effect in named)
+    return bool(named) and every and causes.verdict in NAMES
 
 
 def _stands_for_more(seen: Alarm) -> str:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
+import pytest
 
 import engine
 from engine.diagnose.free_run import second_opinion
@@ -58,3 +62,22 @@ def test_it_is_left_open(monkeypatch):
     assert found.verdict is Verdict.UNKNOWN
     assert "so it is not named" in str(found)
     assert "NOT adopted" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("families", "outliers", "verdict", "asked"),
+    [
+        (["noise"], False, Verdict.NAMED, True),
+        (["noise", "noise"], False, Verdict.SET, True),
+        (["noise", "state"], False, Verdict.SET, False),  # the set has a cause
+        (["noise"], True, Verdict.NAMED, False),  # outliers come at times of their own
+        (["noise"], False, Verdict.UNKNOWN, False),
+        ([], False, Verdict.NOTHING, False),
+    ],
+)
+def test_of_what_it_is_asked(families, outliers, verdict, asked):
+    traits = SimpleNamespace(outliers=outliers)
+    refits = [SimpleNamespace(effect=SimpleNamespace(family=f, traits=traits)) for f in families]
+    rounds = [SimpleNamespace(equivalent=refits)]
+    causes: Any = SimpleNamespace(search=SimpleNamespace(rounds=rounds), verdict=verdict)
+    assert second_opinion._is_noise_alone(causes) is asked
