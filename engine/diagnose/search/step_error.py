@@ -26,7 +26,7 @@ from engine.errors import EngineError
 from engine.estimation.long_steps import apart as predictions_apart
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.filters.sigma_point import moment_filter
-from engine.statespace.model import MixedModel
+from engine.statespace.model import Array, MixedModel
 
 EXPLAINED = 0.5  # of a likelihood ratio, from which steps half as long explain it
 WHOLE = 4.0  # times what half of an error is worth
@@ -166,7 +166,7 @@ def steps_for_sizes(
         finer, extended = _finer(model, names, fit, series)
         if WHOLE * apart(fit, extended, series, finer) < MOVED**2:
             break  # so small an error moves nothing by as much
-        theta = np.asarray(extended.theta(fit.theta.asdict()))
+        theta = _same(extended, fit)
         again = _refitted(extended, fit, finer, kept)
         free = extended.free_indices(fit.free)
         variance = np.diag(np.linalg.pinv(again.information, hermitian=True))
@@ -201,7 +201,7 @@ def _gained(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> f
 
 def _refitted(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> QuasiFit:
     return kept.further("half steps").fit(
-        extended, lambda: quasi_ml(extended, finer, fit.theta.asdict(), fit.free)
+        extended, lambda: quasi_ml(extended, finer, _same(extended, fit), fit.free)
     )
 
 
@@ -210,7 +210,13 @@ def apart(fit: QuasiFit, other: MixedModel, series: Series, finer: Series) -> fl
 
     ``other`` is the fit's model for the ``finer`` record; its parameters may stand in another order.
     """
-    same = np.asarray(other.theta(fit.theta.asdict()))
+    same = _same(other, fit)
     pairs = ((fit.model, np.asarray(fit.theta), series), (other, same, finer))
     one, two = (moment_filter(m, theta[None], s) for m, theta, s in pairs)
     return predictions_apart(one, series, two, finer)
+
+
+def _same(other: MixedModel, fit: QuasiFit) -> Array:
+    """The fit's parameters (n_theta,) in another model's order, within its bounds: some are in proportion to dt."""
+    known = fit.theta.asdict()
+    return np.clip([known[name] for name in other.parameter_names], other.lower, other.upper)
