@@ -217,6 +217,6 @@ def apart(fit: QuasiFit, other: MixedModel, series: Series, finer: Series) -> fl
 
 
 def _same(other: MixedModel, fit: QuasiFit) -> Array:
-    """The fit's parameters (n_theta,) in another model's order, within its bounds: some are in proportion to dt."""
+    """The fit's parameters (n_theta,) in the order of another model, within its bounds: some grow with dt."""
     known = fit.theta.asdict()
     return np.clip([known[name] for name in other.parameter_names], other.lower, other.upper)
