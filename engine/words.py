@@ -210,3 +210,14 @@ def held_by_bounds(
         f"{said} them there or beyond, so their values are the bounds' more than the data's. Widen the bounds "
         "where physics allows it (Parameter(bounds=)), else hold the parameters fixed (free=)."
     )
+
+
+def hardly_told(names: Sequence[str]) -> str:
+    """A sentence about parameters whose standard errors reach over all their bounds; empty for none."""
+    if not names:
+        return ""
+    its, them = ("its", "it") if len(names) == 1 else ("their", "them")
+    return (
+        f"These data hardly tell {', '.join(names)}: {its} standard error is larger than what the bounds "
+        f"allow. Keep {them} fixed at what is known, or record what shows more of {them}."
+    )

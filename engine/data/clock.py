@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from engine.arrays import Array
+from engine.data.dates import date_of, in_order, order_of, with_slashes
 from engine.errors import SeriesError
 from engine.units import clock_of, meanings
 
@@ -18,8 +19,6 @@ WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
-# Day, month and year with dots between them have this order everywhere; with slashes two are usual.
-DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:[0-5]\d.*))?")
 ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
 
 
@@ -32,7 +31,7 @@ def times_in(times: Any, unit: str) -> Array:
     """
     array = np.asarray(times)
     if array.dtype.kind in "UO" and array.size and all(isinstance(x, str) for x in array.ravel()):
-        array = np.array([date_of(text) or text for text in array.ravel()], dtype=object)
+        array = np.array(_dates_of(array.ravel().tolist()), dtype=object)
     if array.dtype.kind == "O" and array.size and all(map(_is_date, array.ravel())):
         if (row := zone_changes(list(array.ravel()))) is not None:
             raise SeriesError(
@@ -48,6 +47,24 @@ def times_in(times: Any, unit: str) -> Array:
         return np.array(times, dtype=float).ravel()
     except (TypeError, ValueError) as error:
         raise SeriesError(f"t is neither numbers nor dates: {error}") from error
+
+
+def _dates_of(texts: Sequence[str]) -> list[datetime | str]:
+    """Each text that is a date as one, the others as they are. Raises SeriesError where two orders may be."""
+    if not with_slashes(texts):
+        return [date_of(text) or text for text in texts]
+    order, sure = order_of(texts)
+    if not (order or sure):
+        raise SeriesError(f"t: {about_orders(texts[0])}")
+    return [date or text for date, text in zip(in_order(texts, order), texts, strict=True)]
+
+
+def about_orders(text: str) -> str:
+    """What to do where dates with slashes may be of either order."""
+    return (
+        f"'{text.strip()}' may have its day or its month first, and nothing tells which: write dates as "
+        "2024-03-01 13:45:00"
+    )
 
 
 def zone_changes(dates: Sequence[Any]) -> int | None:
@@ -157,24 +174,6 @@ def elapsed(text: str) -> timedelta | None:
         return None
     seconds = float(found[3].replace(",", "."))
     return timedelta(hours=int(found[1]), minutes=int(found[2]), seconds=seconds)
-
-
-def date_of(text: str) -> datetime | None:
-    """A date such as 2024-03-01T13:45:00+01:00, 2024-03-01 or 1.3.2024 13:45; None of others and of numbers."""
-    try:
-        float(text)
-    except ValueError:
-        pass
-    else:
-        return None
-    text = text.strip()
-    if dotted := DOTTED.fullmatch(text):
-        day, month, year, hour, rest = dotted.groups()
-        text = f"{year}-{month:0>2}-{day:0>2}" + (f" {hour:0>2}{rest}" if hour else "")
-    try:
-        return datetime.fromisoformat(text)
-    except ValueError:
-        return None
 
 
 def _of_the_day(times: Array) -> bool:

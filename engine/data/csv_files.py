@@ -8,8 +8,8 @@ from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 
-from engine.data.clock import date_of
-from engine.data.table import DATED, MISSING, Table, is_number
+from engine.data.dates import date_of
+from engine.data.table import DATED, Table, is_missing, is_number
 from engine.errors import SeriesError
 from engine.units import clock_of, is_unit, named_with_unit
 
@@ -177,7 +177,7 @@ def _units_in(row: Sequence[str]) -> list[str]:
 
 
 def _is_unit(text: str) -> bool:
-    return text.lower() not in MISSING and (is_unit(text) or clock_of(text) != "")
+    return not is_missing(text) and (is_unit(text) or clock_of(text) != "")
 
 
 def _has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:
@@ -231,9 +231,9 @@ def _are_names(cells: Sequence[str]) -> bool:
 def _are_values(cells: Sequence[str]) -> bool:
     """Whether cells are those of a row: numbers, dates and empty ones, and one number at least."""
     told = [cell.strip(' "') for cell in cells]
-    numbers = [is_number(_pointed(cell)) and cell.lower() not in MISSING for cell in told]
+    numbers = [is_number(_pointed(cell)) and not is_missing(cell) for cell in told]
     return any(numbers) and all(
-        number or cell.lower() in MISSING or date_of(cell) is not None or DATED.match(cell)
+        number or is_missing(cell) or date_of(cell) is not None or DATED.match(cell)
         for number, cell in zip(numbers, told, strict=True)
     )
 

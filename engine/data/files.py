@@ -21,7 +21,8 @@ Which columns are which channels:
 - ``hold`` says what inputs do between samples (see :class:`engine.Series`); left out, what the file says: a
   text ``hold`` in .mat and .npz, a line ``# hold: foh`` at the head of a CSV; else they are held.
 
-Empty cells and NaN, null, NA, none are missing measurements. Nothing is ever unpickled.
+Empty cells and NaN, null, NA, none, ---, ? and a spreadsheet's errors are missing measurements. Nothing is
+ever unpickled.
 """
 
 from __future__ import annotations

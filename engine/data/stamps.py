@@ -8,7 +8,8 @@ from collections.abc import Collection
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.clock import date_of, elapsed, times_in
+from engine.data.clock import elapsed, times_in
+from engine.data.dates import date_of, order_of, with_slashes
 from engine.data.table import TIME_OF_DAY, Table
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
@@ -31,6 +32,8 @@ def candidates(table: Table, channels: Collection[str] = (), dates: bool = True)
 def holds_dates(table: Table, name: str) -> bool:
     """Whether each cell of a column is a date."""
     values = table.columns[name]
+    if not isinstance(values, np.ndarray) and with_slashes(values):
+        return order_of(values) != ("", True)
     return date_of(_first_cell(table, name)) is not None and all(
         date_of(cell) is not None for cell in values
     )

@@ -10,13 +10,30 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.clock import about_zone, date_of, elapsed, zone_changes
+from engine.data.clock import about_orders, about_zone, elapsed, zone_changes
+from engine.data.dates import DAY_FIRST, MONTH_FIRST, date_of, in_order, order_of, with_slashes
 from engine.errors import SeriesError
 from engine.units import named_with_unit
 
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AP]M)?", re.IGNORECASE)
-MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
+MISSING = frozenset(
+    (
+        "",
+        "nan",
+        "null",
+        "na",
+        "n/a",
+        "#n/a",
+        "none",
+        "#value!",
+        "#div/0!",
+        "#num!",
+        "#ref!",
+        "missing",
+    )
+)
+NO_READING = re.compile(r"-+|\?+|\.")  # as loggers and statisticians write it
 
 
 @dataclass
@@ -62,7 +79,7 @@ class Table:
             return np.array([self._number(name, i, cell) for i, cell in enumerate(values)])
 
     def times(self, name: str) -> Array | list[datetime]:
-        """A column of times (T,): numbers, dates as ISO 8601 writes them, or hours such as 25:30:00.
+        """A column of times (T,): numbers, dates, or hours such as 25:30:00.
 
         The latter are counted from the first day that there is: only what lies between them matters.
         """
@@ -70,9 +87,10 @@ class Table:
         first = "" if isinstance(values, np.ndarray) else next(filter(str.strip, values), "")
         if elapsed(first) is not None and not self._has_dates():
             return [datetime.min + one for one in self._elapsed(name)]
-        if date_of(first) is None:
+        slashed = not isinstance(values, np.ndarray) and with_slashes(values)
+        if date_of(first) is None and not slashed:
             return self.column(name)
-        found = [date_of(cell) for cell in values]
+        found = self._slashed(name) if slashed else [date_of(cell) for cell in values]
         for i, (one, cell) in enumerate(zip(found, values, strict=True)):
             if one is None:
                 raise SeriesError(
@@ -85,6 +103,20 @@ class Table:
                 f"{self._place(name, row)}: '{values[row].strip()}' {about_zone(dates[row])}"
             )
         return dates
+
+    def _slashed(self, name: str) -> list[datetime | None]:
+        """The dates of a column with slashes (T,), None for those that are none."""
+        cells = list(self.columns[name])
+        order, sure = order_of(cells)
+        if order:
+            said = f"dates of column '{name}' are read as {order}, for so time goes on."
+            if not sure and said not in self.notes:
+                self.notes.append(said)
+            return in_order(cells, order)
+        if not sure:
+            raise SeriesError(f"{self._place(name, 0)}: {about_orders(cells[0])}")
+        # the order that reads the most tells the line that is none
+        return max((in_order(cells, one) for one in (DAY_FIRST, MONTH_FIRST)), key=_read)
 
     def _has_dates(self) -> bool:
         """Whether a column begins with a date: hours beside it are those of several days."""
@@ -130,7 +162,7 @@ class Table:
 
     def _number(self, name: str, row: int, cell: str) -> float:
         text = cell.strip()
-        if text.lower() in MISSING:
+        if is_missing(text):
             return np.nan
         if is_number(text):
             return float(text)
@@ -156,6 +188,15 @@ class Table:
         """What the file holds, for errors."""
         text = ", ".join(f"'{name}'" for name in self.groups) or "nothing"
         return text + (f" (not usable: {', '.join(self.ignored)})" if self.ignored else "")
+
+
+def _read(dates: Sequence[datetime | None]) -> int:
+    return sum(one is not None for one in dates)
+
+
+def is_missing(text: str) -> bool:
+    """Whether a cell says that there is no reading."""
+    return text.lower() in MISSING or NO_READING.fullmatch(text) is not None
 
 
 def is_number(text: str) -> bool:

@@ -36,7 +36,7 @@ from engine.statespace.refutation import repeated_if_refuted
 from engine.threads import single_threaded
 from engine.ties import ties_in_words
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
-from engine.words import Told, digits, errors_in_words, tidy
+from engine.words import Told, digits, errors_in_words, hardly_told, tidy
 
 LOWER_BOUNDS = (
     "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
@@ -264,6 +264,10 @@ def fit_simulation(
     covariance[np.ix_(problem.active, problem.active)] = found.covariance[:k, :k]
     estimated = problem.names(problem.active)
     tied = problem.names(problem.active[found.tied[:k]])
+    errors = np.sqrt(np.diag(covariance))
+    hardly = model.hardly_known(
+        theta, {name: float(errors[model.index(name)]) for name in estimated if name not in tied}
+    )
     faults = about_faults(model.outputs, model.inputs, listed, outliers=True)
     clock = about_clock(model, listed)
     if _run_away(runs):  # of a run that is nowhere near the data nothing more is to be said
@@ -273,7 +277,8 @@ def fit_simulation(
             _ended(best, stopped) if estimated else NOTHING,
             _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
             ties_in_words(estimated, found.directions),
-            model.held_in_words(theta, estimated),
+            model.held_in_words(theta, [name for name in estimated if name not in hardly]),
+            hardly_told(hardly),
             faults,
             clock,
             about_free_runs(model, theta, listed, x1),

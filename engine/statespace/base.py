@@ -230,6 +230,14 @@ class BaseModel(Shown):
         }
         return held_by_bounds(at, [name for name in low if values[name] < middle[name]], little)
 
+    def hardly_known(self, theta: ThetaLike, errors: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters of which data tell less than their bounds do, given finite standard ``errors`` by name."""
+        values = self.theta(theta).asdict()
+        furthest = {
+            p.name: max(abs(values[p.name] - bound) for bound in p.bounds) for p in self.parameters
+        }
+        return tuple(name for name, error in errors.items() if furthest[name] <= error < np.inf)
+
     def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
         """Positions of the free parameters; None means all of them. Raises OptionError."""
         if free is None:

@@ -49,7 +49,7 @@ from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
 from engine.ties import tied, ties_in_words, to_hold
-from engine.words import enumerated, percent
+from engine.words import enumerated, hardly_told, percent
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
@@ -202,12 +202,17 @@ def standard_errors(
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     mean = scores.mean(axis=0)
     error = scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores))
+    together = [name for name, yes in zip(names, tied(directions), strict=True) if yes]
+    errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     sentences = (
         warning or _said_of_the_end(found),
         said,
         ties_in_words(names, directions),
         tied_to_bounds(every, within),
         said_of_bounds(at_bound),
+        hardly_told(
+            model.hardly_known(theta, {n: e for n, e in errors.items() if n not in together})
+        ),
         _said_of_stopped(beyond),
         _said_of_noise(relative),
     )
@@ -223,7 +228,7 @@ def standard_errors(
         settled=settled,
         warning=" ".join(filter(None, sentences)),
         note=about_predictions(model, theta, all_series),
-        tied=tuple(name for name, yes in zip(names, tied(directions), strict=True) if yes),
+        tied=tuple(together),
     )
 
 

@@ -429,9 +429,9 @@ def test_a_date_that_is_none_is_named_with_its_line(tmp_path):
         SeriesError, match=r"line 3, column 't': '30/03/2024 23:00' is not a date such"
     ):
         read_series(path)
-    path.write_text("t,y\n30/03/2024 22:00,1\n")
+    path.write_text("t,y\n28/02/2024 22:00,1\n29/02/2024 22:00,1\n30/02/2024 22:00,1\n")
     with pytest.raises(
-        SeriesError, match=r"line 2, column 't': '30/03/2024 22:00' is not a number"
+        SeriesError, match=r"line 4, column 't': '30/02/2024 22:00' is not a date such"
     ):
         read_series(path)
 
@@ -596,7 +596,8 @@ def test_days_of_a_spreadsheet(tmp_path):
         ("t,y\n0,1\nt,y\n1,2\n", "line 3, column 't': 't' is not .*repeats the names of the columns, delete"),
         ("time,y\n2024-01-01,1\ntime,y\n", "line 3, .*if this line repeats the names of the columns"),
         ("Date,Time,y\n2024-01-01,00:00:10,1\n2024-01-01,00:00:20,1\n", "with their date, both in one column"),
-        ("t,y\n01/03/2024 12:00,1\n02/03/2024 12:00,1\n", "read as 2024-03-01 13:45:00: write them so"),
+        ("t,y\n01/03/2024 12:00,1\n02/03/2024 12:00,1\n", "day or its month first.*: write dates as"),
+        ("t,y\n1-Mar-2024,1\n2-Mar-2024,1\n", "'1-Mar-2024' is not a number"),
     ],
 )  # fmt: skip
 def test_what_to_do_about_a_file(tmp_path, text, words):
@@ -639,9 +640,48 @@ def test_empty_columns_at_the_end_and_utf_16(tmp_path):
 
 
 def test_a_date_in_another_order_is_named_where_a_step_is_assumed(tmp_path):
-    path = of(tmp_path, "Stamp;y\n31/03/2024 12:00;1\n31/03/2024 12:01;2\n")
+    path = of(tmp_path, "Stamp;y\n31-03-2024 12:00;1\n31-03-2024 12:01;2\n")
     with pytest.warns(ReadingWarning, match="as 'Stamp' holds dates"):
         read_series(path)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "t"),
+    [
+        (("31/03/2024 23:59", "1/4/2024 0:00:30"), [0.0, 90.0]),  # no month is the 31st
+        (("3/31/2024 11:59 PM", "4/1/2024 12:00:30 AM"), [0.0, 90.0]),
+        (("03/04/2024 12:00", "03/04/2024 12:01:00,5"), [0.0, 60.5]),  # the same either way
+        (("2024/03/04 7:00", "2024/03/05 7:00"), [0.0, 86400.0]),
+        (("11/02/2024 12:59:59 AM", "11/02/2024 1:00:00 am"), [0.0, 1.0]),
+    ],
+)
+def test_dates_with_slashes_whose_order_the_column_tells(tmp_path, stamps, t):
+    text = "stamp;y\n" + "".join(f"{stamp};{k}\n" for k, stamp in enumerate(stamps))
+    assert read_series(of(tmp_path, text)).t.tolist() == t
+    assert Series([0.0, 1.0], t=list(stamps)).t.tolist() == t
+
+
+@pytest.mark.parametrize(
+    ("stamps", "order"),
+    [
+        (
+            ("11/02/2024", "12/02/2024", "01/03/2024"),
+            "day/month/year",
+        ),  # time goes back in the other
+        (("3/4/2024 23:00", "3/4/2024 23:30", "3/5/2024 0:00"), "month/day/year"),  # even steps
+    ],
+)
+def test_an_order_that_only_the_steps_tell_is_said(tmp_path, stamps, order):
+    text = "stamp,y\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(stamps))
+    with pytest.warns(ReadingWarning, match=f"'stamp' are read as {order}"):
+        assert read_series(of(tmp_path, text)).t[1] < 90000.0
+
+
+def test_what_says_that_there_is_no_reading(tmp_path):
+    marks = ["---", "-", "?", ".", "#DIV/0!", "#N/A", "missing", "NULL", ""]
+    text = "t,y\n" + "".join(f"{k},{mark}\n" for k, mark in enumerate(["1.5", *marks, "2.5"]))
+    y = read_series(of(tmp_path, text)).y[:, 0]
+    assert (y[0], y[-1], np.isnan(y[1:-1]).all()) == (1.5, 2.5, True)
 
 
 def test_a_date_with_dots_has_its_day_first(tmp_path):

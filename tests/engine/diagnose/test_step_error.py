@@ -211,3 +211,17 @@ def test_what_the_steps_decide(scores, worths, gains, substeps, worth, monkeypat
     series: Any = SimpleNamespace(substeps=substeps)
     asked = found, ["0"], refits[0].fit, series, setting, NOTHING, 4
     assert step_error.decides(*asked) == worth
+
+
+def test_a_size_at_a_bound_that_another_setting_sees_elsewhere_is_compared_within_it():
+    """Once a diagnosis ended there: a width of hysteresis is bounded by how fast the fit's states move."""
+    series = measured(0.0, 0.0, T=120, friction=0.5)
+    setting = setting_for(DRIVE, series, DRIVE.theta())
+    name = catalogue.all_effects(setting, ["hysteresis"])[0].name
+    extended = extend(DRIVE, [name], setting)
+    theta = np.where(np.isfinite(extended.upper), extended.upper, extended.theta())
+    theta[: len(DRIVE.parameters)] = DRIVE.theta({"k": 0.3, "r": 0.3})
+    finer, other = step_error._finer(DRIVE, [name], SimpleNamespace(theta=theta), series)
+    assert (other.upper < theta).any()
+    fit = SimpleNamespace(model=extended, theta=extended.theta(theta))
+    assert np.isfinite(step_error.apart(fit, other, series, finer))

@@ -36,7 +36,16 @@ from engine.presentation.cause_sentences import (
 from engine.presentation.report import report_html
 from engine.presentation.report.parts import pretty, prose, with_time
 from engine.simulation.simulate import simulate
-from engine.words import bounds, estimate, fit_quality, held_by_bounds, number, percent, tidy
+from engine.words import (
+    bounds,
+    estimate,
+    fit_quality,
+    hardly_told,
+    held_by_bounds,
+    number,
+    percent,
+    tidy,
+)
 
 
 @pytest.mark.parametrize(
@@ -118,6 +127,24 @@ def test_a_variance_at_a_bound_next_to_nothing_needs_no_wider_one():
     assert both.startswith("Stopped by a bound: k. ")
     assert both.endswith("The data ask for no q: it is at a bound next to 0.")
     assert said(q=10.0).startswith("Stopped by a bound: q.")
+
+
+def test_a_parameter_whose_error_is_larger_than_its_bounds_is_hardly_told():
+    model = replace(
+        LINEAR,
+        parameters=(
+            engine.Parameter("V", 20.0, "l", (1.0, 50.0)),
+            engine.Parameter("k", 40.0, "", (5.0, np.inf)),
+        ),
+    )
+
+    def said(**errors):
+        return hardly_told(model.hardly_known({"V": 20.0}, errors))
+
+    assert said(V=364.0).startswith("These data hardly tell V: its standard error is larger")
+    assert said(V=29.0) == ""  # an end of its bounds is further away than that
+    assert said(k=1e9) == ""  # whose bounds leave it everything
+    assert said(V=np.inf) == ""  # tied to others, which is told elsewhere
 
 
 def test_neighbouring_bounds_and_small_shares_can_be_told_apart():

@@ -260,3 +260,23 @@ def test_errors_that_rest_on_a_bound_say_so():
     assert "only determine b2 together with b1, at the bound" in str(found)
     alone = engine.standard_errors(PRODUCT, theta, SERIES, free=["p", "b2", "q"], exact=True)
     assert "together" not in str(alone)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6])
+def test_a_parameter_that_the_record_hardly_tells_is_said_to_be(unit):
+    """A second input that hardly moves: any gain within its bounds does, in any unit of it."""
+    model = first_order(
+        lambda x, u, th: (0.8 * x + th.b * u[0] + th.c / unit * u[1], 1e-3),
+        [Parameter("b", 0.5, "", (0.0, 5.0)), Parameter("c", 0.5 * unit, "", (0.0, unit))],
+        ("u", "v"),
+    )
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(-1.0, 1.0, (12, 2)), 10, axis=0) * [1.0, 0.002]
+    series = engine.simulate(model, None, 120, rng, u=u, dt=1.0).series
+    said = "These data hardly tell c: its standard error is larger than what the bounds allow."
+    assert said in engine.fit_simulation(model, series).message
+    assert "Stopped by a bound" not in engine.fit_simulation(model, series).message
+    held = quasi_ml(model, series, {"c": 0.5 * unit}, ["b"])
+    errors = engine.standard_errors(model, held.theta, series, exact=True)
+    assert said in errors.warning
+    assert np.isfinite(errors.values).all()
