@@ -2,8 +2,8 @@
 
 Of two faults the first that is named may be neither: a pulse of the force takes what a drag and a knock of
 the sensor leave together, and beside it a path from the input takes the rest. Exchanging one of such two for
-another makes it worse. So where several effects were found, the rivals of the first round are tried as the
-first.
+another makes it worse. Noise takes what several faults leave together, and nothing of it is seen any more. So
+where several effects were found, or noise alone, the rivals of the first round are tried as the first.
 """
 
 from __future__ import annotations
@@ -22,9 +22,14 @@ FORESEEN = 1.5  # times its statistic, at most, an effect gains when it is refit
 
 
 def may_begin_otherwise(found: Search) -> bool:
-    """Whether it is several effects, none of them outliers, that may hold each other."""
+    """Whether it is several effects that may hold each other, or noise, which holds all; none is outliers."""
     outliers = any(one.effect.traits.outliers for one in found.named)
-    return len(found.named) > 1 and not outliers and not found.of_the_steps
+    return (len(found.named) > 1 or _is_noise(found)) and not outliers and not found.of_the_steps
+
+
+def _is_noise(found: Search) -> bool:
+    """Whether one effect was found, and it is noise."""
+    return [one.effect.family for one in found.named] == ["noise"]
 
 
 def best_beginning(
@@ -32,18 +37,24 @@ def best_beginning(
     begun: Round,
     series: Series,
     beside: Callable[[Refit], Screen],
-    other: Callable[[Round], Search],
+    other: Callable[[Round, bool], Search],
 ) -> Search:
     """The search, or a better one that begins with another of the refits of its first round, ``begun``.
 
     ``beside`` screens what is left beside a refit. The one that promises most is gone on with, by ``other``,
-    if it may come out ahead. One that comes out even is told, unless the two share an effect.
+    if it may come out ahead: at first without simulations, which only ever find less. One that comes out even
+    is told, unless the two share an effect.
     """
     names = {one.effect.name for one in found.named}
     promised: list[tuple[float, Refit]] = []
     for rival in begun.refits:
         outlying = rival.effect.traits.outliers or rival.effect.name in names
-        if outlying or rival.score <= 0.0 or len(promised) == OTHERS:
+        if (
+            outlying
+            or (_is_noise(found) and rival.effect.family == "noise")
+            or rival.score <= 0.0
+            or len(promised) == OTHERS
+        ):
             continue
         left = [s.statistic for s in beside(rival).scores if not s.effect.traits.unnamed]
         promised.append((rival.score + FORESEEN * max(left, default=0.0), rival))
@@ -51,7 +62,10 @@ def best_beginning(
     score = found.score(series)
     if first is None or most < score:
         return found
-    again = other(_led_by(begun, first))
+    led = _led_by(begun, first)
+    if other(led, False).score(series) < score - MARGIN:
+        return found
+    again = other(led, True)
     lead = again.score(series) - score
     if lead > MARGIN:
         return again

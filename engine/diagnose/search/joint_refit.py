@@ -2,20 +2,23 @@
 
 What an earlier round named was the best that could be said without the later ones: next to a drag that
 is not known yet, Coulomb friction looks as if it faded with speed, as Stribeck's does. So each round's
-rivals, and the plainer kinds that its choice contains, are refitted in the model with everything else.
+rivals, the plainer kinds that its choice contains, and what a screen of the model with everything else shows
+anew, are refitted in that model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
@@ -26,6 +29,8 @@ from engine.statespace.model import Array, MixedModel
 
 STAGE = "looking back"
 RIVALS = 3  # of each round that are refitted again
+NEWCOMERS = 2  # effects that are seen only beside the others
+FORESEEN = 1.5  # times its statistic, at most, an effect gains when it is refitted
 ITERATIONS = 25  # of each of these refits
 BUDGET = 300  # iterations of all of them, three times as many as are usual for two effects
 
@@ -39,10 +44,13 @@ def look_back(
     setting: Setting,
     kept: Kept = NOTHING,
     progress: Progress = lambda stage, share: None,
+    screened: Callable[[QuasiFit], Screen] | None = None,
 ) -> tuple[QuasiFit, list[Round], tuple[str, ...]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices.
 
-    The third are choices that were not weighed so, because the BUDGET was spent: their rounds stay as found.
+    ``screened`` screens all effects at a fit, for those of which a round saw too little before the later ones
+    were known; the last round has seen them all. The third are choices that were not weighed so, because the
+    BUDGET was spent: their rounds stay as found.
     ``progress`` is told of every iteration: as many fits as there are rivals, and one without, make a round.
     """
     settled, fits = list(rounds), _Fits(base, series, BUDGET)
@@ -51,14 +59,21 @@ def look_back(
         effects = [other.refits[0].effect for other in settled]
         before, after = effects[:i], effects[i + 1 :]
         here = kept.within(f"looking back {i + 1}")
-        rivals = _rivals(found, [other.name for other in (*before, *after)])
-        told = partial(_tell, progress, i / len(settled), 1.0 / len(settled) / (1 + len(rivals)))
+        taken = [other.name for other in (*before, *after)]
+        rivals = _rivals(found, taken)
+        most = 1 + len(rivals) + (NEWCOMERS if screened and after else 0)
+        told = partial(_tell, progress, i / len(settled), 1.0 / len(settled) / most)
         starts = partial(_starts, final.theta.asdict(), later=after)
         plain, earlier = starts(earlier.theta.asdict()), found.refits[0].fit
         try:
             without = fits.fit([*before, *after], plain, here, partial(told, 0))
         except (EngineError, np.linalg.LinAlgError):
             continue
+        if screened and after:
+            known = {effect.name for effect, _ in rivals} | {*taken}
+            led = 2.0 * (final.log_likelihood - without.log_likelihood)
+            seen = here.screen(all_effects(setting), partial(screened, without))
+            rivals += _newcomers(seen, known, led, without.theta.asdict())
         again = []  # without outliers: they were no choice, and this filter does not see them
         for j, (effect, own) in enumerate(rivals, 1):
             if not fits.left:
@@ -98,6 +113,30 @@ def _rivals(found: Round, taken: Sequence[str]) -> list[tuple[Effect, Values]]:
             like = {**chosen.fit.theta.asdict(), effect.size.name: chosen.size}
             out.setdefault(effect.name, (effect, like))
     return [rival for name, rival in out.items() if name not in taken]
+
+
+def _newcomers(
+    seen: Screen, known: Collection[str], led: float, without: Values
+) -> list[tuple[Effect, Values]]:
+    """The effects most seen that are not ``known`` and may gain, 2 x log-likelihood, as much as ``led``.
+
+    Each with where its refit may begin, from the parameters ``without`` it.
+    """
+    promising = [
+        score
+        for score in sorted(seen.scores, key=lambda score: (-score.statistic, score.effect.name))
+        if score.effect.name not in known
+        and not (score.effect.traits.outliers or score.effect.traits.unnamed)
+        and FORESEEN * score.statistic >= led
+    ]
+    return [
+        (score.effect, {**without, **_values(score.effect, (score.size, *score.at))})
+        for score in promising[:NEWCOMERS]
+    ]
+
+
+def _values(effect: Effect, own: Sequence[float]) -> Values:
+    return dict(zip((p.name for p in effect.parameters), own, strict=True))
 
 
 def _starts(known: Values, own: Values, later: Sequence[Effect]) -> list[Values]:

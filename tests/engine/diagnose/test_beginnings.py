@@ -15,7 +15,8 @@ from tests.engine.diagnose.test_held import kettle
 
 
 def refit(name, score=0.0, outliers=False):
-    effect = Of(name=name, traits=Of(outliers=outliers, unnamed=False))
+    family = "noise" if name in ("variance", "level") else "state"
+    effect = Of(name=name, family=family, traits=Of(outliers=outliers, unnamed=False))
     return Of(effect=effect, score=score, fit=Of(log_likelihood=0.0))
 
 
@@ -50,25 +51,38 @@ def no_costs(monkeypatch):
 def test_the_most_promising_rival_is_tried_as_the_first(gain, better, as_well):
     found, tried = a_search(100.0, "pulse", "path"), []
 
-    def other(first):
-        tried.append(first.refits[0].effect.name)
-        assert [one.effect.name for one in first.equivalent] == tried
+    def other(first, simulating):
+        tried.append((first.refits[0].effect.name, simulating))
+        assert [one.effect.name for one in first.equivalent] == ["step"]
         return a_search(gain, "step", "drag")
 
     best = best_beginning(found, BEGUN, None, beside, other)
-    assert tried == ["step"]
+    # what is behind even where nothing is doubted need not be doubted
+    assert tried == [("step", False), ("step", True)][: 1 if gain == 90.0 else 2]
     assert [one.effect.name for one in best.named] == (
         ["step", "drag"] if better else ["pulse", "path"]
     )
     assert best.as_well == as_well
 
 
+def test_what_is_ahead_only_where_nothing_is_doubted_is_not_taken():
+    found = a_search(100.0, "pulse", "path")
+    best = best_beginning(
+        found,
+        BEGUN,
+        None,
+        beside,
+        lambda first, simulating: a_search(90.0 if simulating else 120.0, "step"),
+    )
+    assert best is found
+
+
 def test_those_that_share_an_effect_are_not_told_and_none_is_tried_in_vain():
     found = a_search(100.0, "pulse", "drag")
-    even = best_beginning(found, BEGUN, None, beside, lambda first: a_search(99.5, "step", "drag"))
+    even = best_beginning(found, BEGUN, None, beside, lambda *_: a_search(99.5, "step", "drag"))
     assert even is found
     far = a_search(500.0, "pulse", "path")
-    assert best_beginning(far, BEGUN, None, beside, lambda first: pytest.fail("tried")) is far
+    assert best_beginning(far, BEGUN, None, beside, lambda *_: pytest.fail("tried")) is far
 
 
 def test_one_effect_and_outliers_begin_in_one_way():
@@ -76,6 +90,23 @@ def test_one_effect_and_outliers_begin_in_one_way():
     assert not may_begin_otherwise(a_search(10.0, "drag"))
     tails = Search(None, None, (a_round(refit("a")), a_round(refit("b", outliers=True))), False)
     assert not may_begin_otherwise(tails)
+
+
+def test_noise_that_leads_alone_is_doubted_by_another_beginning_that_is_no_noise():
+    """What several faults leave together looks like noise, beside which nothing is seen."""
+    found, tried = a_search(85.0, "variance"), []
+    assert may_begin_otherwise(found)
+    begun = a_round(refit("variance", 85.0), refit("level", 84.0), *BEGUN.refits[2:])
+
+    def other(first, simulating):
+        tried.append(first.refits[0].effect.name)
+        return a_search(150.0, "step", "drag")
+
+    assert [one.effect.name for one in best_beginning(found, begun, None, beside, other).named] == [
+        "step",
+        "drag",
+    ]
+    assert tried == ["step", "step"]
 
 
 @pytest.mark.slow
