@@ -149,36 +149,63 @@ def _is_lost(m, W, lost):
 
 @njit(cache=True, error_model="numpy")
 def _over_a_step(link, W):
-    """A_d, B, Q of F, Qc, dt for each row; ``link`` has n, their rows of W, and the first of the results'."""
-    n, M = link[0], W.shape[1]
-    size, first = n * n, link[2 + 2 * link[0] ** 2]
-    width = min(M, BLOCK)
-    F, S, G = np.empty((n, n, width)), np.empty((n, n, width)), np.zeros((n, n, width))
+    """A_d, B, Q of F, G, Qc, dt for each row; ``link``: n, m, their rows of W, and the first of the results'.
+
+    Rows that have them from the row before, as all of one filter where no state changes them, are found once.
+    """
+    n, m, M = link[0], link[1], W.shape[1]
+    size, wide = n * n, n * m
+    first = link[3 + 2 * size + wide]
+    F_, G_, S_, dt_ = link[2:], link[2 + size :], link[2 + size + wide :], link[2 + 2 * size + wide]
+    leads, which = _distinct(link[2 : 3 + 2 * size + wide], W)
+    width = min(len(leads), BLOCK)
+    F, S, G = np.empty((n, n, width)), np.empty((n, n, width)), np.empty((n, m, width))
     steps = np.empty(width)
-    for i in range(n):
-        G[i, i, :] = 1.0
-    for start in range(0, M, width):
-        count = min(width, M - start)
+    for start in range(0, len(leads), width):
+        count = min(width, len(leads) - start)
         lost = np.zeros(count, dtype=np.bool_)
         for k in range(count):
-            m, total = start + k, 0.0
+            row, total = leads[start + k], 0.0
             for i in range(n):
                 for j in range(n):
-                    F[i, j, k] = W[link[1 + i * n + j], m]
-                    there, back = link[1 + size + i * n + j], link[1 + size + j * n + i]
-                    S[i, j, k] = 0.5 * (W[there, m] + W[back, m])
+                    F[i, j, k] = W[F_[i * n + j], row]
+                    S[i, j, k] = 0.5 * (W[S_[i * n + j], row] + W[S_[j * n + i], row])
                     total += abs(F[i, j, k]) + abs(S[i, j, k])
-            steps[k] = W[link[1 + 2 * size], m]
+                for j in range(m):
+                    G[i, j, k] = W[G_[i * m + j], row]
+                    total += abs(G[i, j, k])
+            steps[k] = W[dt_, row]
             lost[k] = not total < np.inf
             if lost[k]:  # it takes no other row with it
-                F[:, :, k], S[:, :, k] = 0.0, 0.0
-        parts = integrals(F, G, S, steps, count, True)
-        for p in range(3):
-            for i in range(n):
-                for j in range(n):
-                    for k in range(count):
-                        value = np.nan if lost[k] else parts[p][i, j, k]
-                        W[first + p * size + i * n + j, start + k] = value
+                F[:, :, k], S[:, :, k], G[:, :, k] = 0.0, 0.0, 0.0
+        A, B, Q = integrals(F, G, S, steps, count, True)
+        for row in range(M):
+            k = which[row] - start
+            if 0 <= k < count:
+                for i in range(n):
+                    for j in range(n):
+                        W[first + i * n + j, row] = np.nan if lost[k] else A[i, j, k]
+                        W[first + size + wide + i * n + j, row] = np.nan if lost[k] else Q[i, j, k]
+                    for j in range(m):
+                        W[first + size + i * m + j, row] = np.nan if lost[k] else B[i, j, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _distinct(operands, W):
+    """Rows with other operands than the row before, and for each row (M,) which of them it has them from."""
+    M = W.shape[1]
+    leads, which, count = np.empty(M, dtype=np.int64), np.empty(M, dtype=np.int64), 0
+    for row in range(M):
+        new = row == 0
+        for operand in operands:
+            if new:
+                break
+            new = W[operand, row] != W[operand, row - 1]
+        if new:
+            leads[count] = row
+            count += 1
+        which[row] = count - 1
+    return leads[:count], which
 
 
 @njit(cache=True, error_model="numpy")

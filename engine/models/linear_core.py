@@ -8,10 +8,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.statespace.discretization import discretize
+from engine.statespace.discretization import checked_step, discretize
 from engine.statespace.model import Array
-from engine.statespace.recorded.arrays import record_arrays
+from engine.statespace.recorded.arrays import TracedArray, record_arrays
 from engine.statespace.recorded.numbers import Traced
+from engine.statespace.recorded.stand_ins import Within, traceable
 
 # values (..., n), the last one dt -> F (..., nx, nx), G (..., nx, nu), Qc (..., nx, nx)
 Build: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
@@ -29,7 +30,7 @@ class LinearCore:
     def __call__(self, *values: Any) -> tuple[Array, ...]:
         """A (nx, nx), B (nx, nu), Q (nx, nx); (K, ., .) where some of the values are arrays (K,)."""
         if any(isinstance(value, Traced) for value in values):
-            return record_arrays(self._of_recorded, [np.array(values, dtype=object)])
+            return self._recorded(values)
         values = (*values[:-1], _rounded(values[-1]))
         known, matrices = self._last  # a filter asks for the same ones at every step
         if len(known) == len(values) and all(map(_same, known, values)):
@@ -55,9 +56,11 @@ class LinearCore:
         matrices = self._discretized(np.array(list(distinct)))
         return _shared(matrix[0] if len(distinct) == 1 else matrix[which] for matrix in matrices)
 
-    def _of_recorded(self, values: Array) -> tuple[Array, ...]:
-        """A, B, Q of ``values`` (..., n), in a function that is being recorded."""
-        return self._discretized(np.concatenate([values[..., :-1], _rounded_last(values)], axis=-1))
+    def _recorded(self, values: tuple[Any, ...]) -> tuple[Array, ...]:
+        """A, B, Q in a function that is being recorded."""
+        row = np.array([values], dtype=object).view(TracedArray)
+        matrices = traceable(self._build, Within())(row)
+        return record_arrays(checked_step, [*(one[0] for one in matrices), values[-1]])
 
     def _discretized(self, values: Array) -> tuple[Array, ...]:
         F, G, Qc = self._build(values)
@@ -85,11 +88,6 @@ def _rounded(dt: Any) -> Any:
         return _rounded_number(float(dt))
     digits = 10.0 ** (11.0 - np.floor(np.log10(dt)))
     return np.round(dt * digits) / digits
-
-
-def _rounded_last(values: Array) -> Array:
-    dt = np.asarray(_rounded(values[..., -1]), dtype=float)
-    return dt[..., None]
 
 
 @lru_cache(maxsize=4096)

@@ -87,6 +87,11 @@ def discretize(
     return A, B, Q
 
 
+def checked_step(F: Array, G: Array, Qc: Array, dt: Array) -> tuple[Array, Array, Array]:
+    """:func:`discretize`, by a name of which a tape knows what it does."""
+    return discretize(F, G, Qc, dt=dt)
+
+
 def _matrix(value: Any, name: str) -> Array:
     array = np.asarray(value, dtype=float)
     if array.ndim < 2:

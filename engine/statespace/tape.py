@@ -17,6 +17,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from engine.kernels.tape import CODES
+from engine.statespace.discretization import checked_step
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.recorded.arrays import Entry, OfArrays
 from engine.statespace.recorded.numbers import (
@@ -38,6 +39,7 @@ CODE_OF = {getattr(np, name): code for name, code in CODES.items() if hasattr(np
     check_finite: CODES["check_finite"],
 }
 RESULTS, OPERANDS = 3, 3
+STEPS = (over_a_step, checked_step)  # functions of whole matrices that the kernel knows
 SQUARE = 2.0
 OF_BOOLEANS = {  # the same as these, of numbers that are true or not
     np.bitwise_and: CODES["logical_and"],
@@ -147,7 +149,7 @@ def lines_of(tape: Tape, thetas: Array, copies: int, dt: float | None) -> Lines 
         work[slot] = np.repeat(known[i], copies) if np.ndim(known[i]) else known[i]
     lines = np.array(codes, dtype=np.int64).reshape(-1, 5)
     functions = [step.function for step in rest if isinstance(step, Operation)]
-    raises = any(one in RAISING or one is check_finite for one in functions)
+    raises = any(one in RAISING or one is check_finite or _checked(one) for one in functions)
     width = max(map(len, space.links), default=1)
     links = np.zeros((len(space.links), width), dtype=np.int64)
     for link, entries in zip(links, space.links, strict=True):
@@ -181,6 +183,10 @@ def _of_parameters(
             else:
                 rest.append(step)
     return known, _needed(rest, tape)
+
+
+def _checked(function: Any) -> bool:
+    return isinstance(function, OfArrays) and function.function is checked_step
 
 
 def _needed(steps: Sequence[Operation | Condition], tape: Tape) -> list[Operation | Condition]:
@@ -225,8 +231,8 @@ class _Space:
         """The line of an operation; None where the kernel does not know it."""
         if isinstance(step, Condition):
             return CODES["holds" if step.held else "fails"], self._slot(step.of), 0, 0, 0
-        if isinstance(step.function, OfArrays) and step.function.function is over_a_step:
-            return self._step(step)
+        if isinstance(step.function, OfArrays):
+            return self._step(step) if step.function.function in STEPS else None
         code = self._code(step)
         if code is None or len(step.of) > OPERANDS:
             return None
@@ -240,11 +246,11 @@ class _Space:
 
     def _step(self, step: Operation) -> tuple[int, ...]:
         """The line of a discretisation, whose operands and results are linked."""
-        n = step.function.shapes[0][0]  # type: ignore[attr-defined]
+        n, m = step.function.shapes[1]  # type: ignore[attr-defined]
         operands = [self._slot(i) for i in step.of]
         self.matrices[step.out] = self.size
-        self.links.append([n, *operands, self.size])
-        self.size += 3 * n * n
+        self.links.append([n, m, *operands, self.size])
+        self.size += n * (2 * n + m)
         return CODES["over_a_step"], len(self.links) - 1, 0, 0, 0
 
     def _code(self, step: Operation) -> int | None:

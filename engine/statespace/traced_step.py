@@ -21,13 +21,17 @@ from engine.statespace.recorded.program import traced_results
 from engine.statespace.rows import Array
 
 
-def over_a_step(F: Array, Qc: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """A_d, B and Q, each (..., n, n), of F, Qc (..., n, n) over dt (..., 1)."""
-    *lead, n, _ = F.shape
+def over_a_step(F: Array, G: Array, Qc: Array, dt: Array) -> tuple[Array, Array, Array]:
+    """A_d and Q (..., n, n), B (..., n, m) of F, Qc (..., n, n), G (..., n, m) over dt (...)."""
+    *lead, n, m = G.shape
     K = math.prod(lead)
-    G = np.tile(np.eye(n), (K, 1, 1))
-    A, B, Q = van_loan(F.reshape(K, n, n), G, _symmetric(Qc.reshape(K, n, n)), dt.reshape(K).copy())
-    return A.reshape(F.shape), B.reshape(F.shape), Q.reshape(F.shape)
+    A, B, Q = van_loan(
+        F.reshape(K, n, n),
+        G.reshape(K, n, m),
+        _symmetric(Qc.reshape(K, n, n)),
+        dt.reshape(K).copy(),
+    )
+    return A.reshape(F.shape), B.reshape(G.shape), Q.reshape(F.shape)
 
 
 def _symmetric(Qc: Array) -> Array:
@@ -56,8 +60,8 @@ class TracedStep:
         found = (self._diffusion(a, u, middle, theta),)
         (Qc,) = _entries(found, ((nx, nx),))
         J = self._slopes(a, f, A, u, middle, dt, theta)
-        step = np.array([dt], dtype=object).view(TracedArray)
-        A_d, B, Q = record_arrays(over_a_step, [np.concatenate([J, A], axis=1), Qc, step])
+        F = np.concatenate([J, A], axis=1)
+        A_d, B, Q = record_arrays(over_a_step, [F, np.eye(nx), Qc, dt])
         moved = B @ f
         moved[:na] += a[0]
         return moved[None], A_d[None, :, na:], Q[None]

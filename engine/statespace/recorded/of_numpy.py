@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from engine.statespace.discretization import discretize
+from engine.statespace.discretization import checked_step, discretize
 from engine.statespace.recorded.arrays import (
     TracedArray,
     applied,
@@ -93,8 +93,9 @@ def _arrays(function: Callable[..., Any], single: bool = True) -> Callable[..., 
         if not has_traced([np.asarray(_nested(x)) for x in arrays]):
             found = function(*map(as_numbers, arrays))
             return opened(found) if single else tuple(map(opened, found))
-        found = record_arrays(lambda *xs: (function(*xs),) if single else function(*xs), arrays)
-        return found[0] if single else found
+        if single:
+            return record_arrays(lambda *xs: (function(*xs),), arrays)[0]
+        return record_arrays(function, arrays)
 
     return call
 
@@ -113,7 +114,7 @@ def _discretize(F: Any, G: Any = None, Qc: Any = None, *, dt: Any) -> Any:
     Qc = np.zeros((n, n)) if Qc is None else Qc
     if np.ndim(F) > 2 or np.ndim(dt) > 0:
         raise UntraceableError
-    return _arrays(lambda F, G, Qc, dt: discretize(F, G, Qc, dt=dt), single=False)(F, G, Qc, dt)
+    return _arrays(checked_step, single=False)(F, G, Qc, dt)
 
 
 def _norm(x: Any) -> Any:

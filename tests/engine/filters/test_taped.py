@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
+import engine
 import engine.filters.sigma_point
 import engine.filters.strata
 from engine.data.joined import joined
@@ -153,7 +155,7 @@ def test_so_is_the_way_of_one_filter(name, monkeypatch):
         np.testing.assert_allclose(getattr(taped, name), values, rtol=1e-8, atol=1e-9 * scale)
 
 
-@pytest.mark.parametrize("name", ["mixed-4", "pendulum"])
+@pytest.mark.parametrize("name", ["mixed-4", "pendulum", "oscillator", "servo"])
 def test_uneven_steps_and_records_one_after_the_other(name, monkeypatch):
     model = pendulum() if name == "pendulum" else get_model(name)
     series = series_for(model, 3, even=False)
@@ -162,12 +164,50 @@ def test_uneven_steps_and_records_one_after_the_other(name, monkeypatch):
     assert_same(*both(model, thetas_of(model, 4), two, monkeypatch))
 
 
+def held(matrices):
+    """A level over a step of ``matrices`` (theta, dt), as users write it."""
+
+    def dynamics(a, u, t, dt, theta):
+        A, B, Q = matrices(theta, dt)
+        return A[0, 0] * a + B[0, 0] * u[0], np.zeros((1, 0)), [[0.01 + Q[0, 0]]]
+
+    return level(dynamics)
+
+
+def discretized(theta, dt):
+    F = np.array([[-theta.k, 1.0], [0.0, -2.0 * theta.k]])
+    return engine.discretize(F, np.array([[1.0], [0.0]]), np.diag([0.1, 0.0]), dt=dt)
+
+
+def by_scipy(theta, dt):
+    A = scipy.linalg.expm(np.array([[-theta.k, 1.0], [0.0, -2.0 * theta.k]]) * dt)
+    return A, np.ones((1, 1)), np.eye(1)
+
+
 def test_a_model_that_has_none_for_uneven_steps_keeps_the_one_for_even_ones(monkeypatch):
-    model = get_model("oscillator")
+    model = held(by_scipy)
     theta = thetas_of(model, 4)
     taped, _ = both(model, theta, series_for(model, 5, even=False), monkeypatch)
     assert taped is None
     assert_same(*both(model, theta, series_for(model, 5), monkeypatch))
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("kind", ["parameter-step", "parameter-drift", "path", "pole"])
+def test_matrices_over_a_step_that_change_with_time(kind, even, monkeypatch):
+    """Exponentials for every row: of a library's model with each effect, and of a user's."""
+    model = get_model("oscillator")
+    series = series_for(model, 3, even=even)
+    effects = all_effects(setting_for(model, series, np.asarray(model.theta())), [kind])
+    for effect in effects[:2]:
+        extended = effect.apply(model)
+        assert_same(*both(extended, thetas_of(extended, 4), series, monkeypatch))
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_so_do_those_of_a_users_function(even, monkeypatch):
+    model = held(discretized)
+    assert_same(*both(model, thetas_of(model, 4), series_for(model, 3, even=even), monkeypatch))
 
 
 def level(dynamics):
