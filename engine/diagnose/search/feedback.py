@@ -25,6 +25,8 @@ from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array
 
 OWN = 8  # past inputs that say what an input will be
+RANGES, IN_RANGE = 6, 40  # of an input, at most, and rows in each, at least
+CLOCK = 3  # powers of time by which what an input says of errors changes
 FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
 LEVEL = 0.01  # of all inputs together: a name that is none is worse than one left out
 ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its unit makes it
@@ -93,19 +95,18 @@ def foretold(u: Array, errors: Array) -> float:
 
     Where the input is given, whatever it is, errors are independent of all of it: so they are of its changes
     and of what its own past does not say of it, which a controller moves. What this and earlier inputs say of
-    the errors themselves is a model that is not quite right, and left out: an input that is given changes from
-    where it was, and errors that still hold a part of it would foretell that change. Robust to errors whose
-    size differs from row to row (White 1980).
+    the errors themselves is a model that is not quite right, at some of the inputs or for some of the time, and
+    left out: an input that is given changes from where it was, and errors that still hold a part of it would
+    foretell that change. Robust to errors whose size differs from row to row (White 1980).
     """
     T, rows = len(u), np.arange(OWN, len(u))
-    known = np.column_stack([np.ones(T), np.arange(T)])
-    own = np.column_stack([known[rows], *(u[rows - k] for k in range(1, OWN + 1))])
+    clock = np.linspace(-1.0, 1.0, T)[rows, None] ** np.arange(CLOCK + 1)
+    lags = [u[rows - k] for k in range(1, OWN + 1)]
     news, change = np.zeros(T), np.diff(u, prepend=u[0])
-    news[rows] = u[rows] - own @ np.linalg.lstsq(own, u[rows], rcond=None)[0]
+    news[rows] = _left(u[rows], clock[:, :2], *lags)
     errors = errors.copy()
     errors[:OWN] = 0.0
-    given = np.column_stack([own, u[rows]])
-    errors[rows] -= given @ np.linalg.lstsq(given, errors[rows], rcond=None)[0]
+    errors[rows] = _left(errors[rows], clock, *lags, _bent(u[rows]), clock * u[rows, None])
     least, p = 1e-9 * float(np.ptp(u)), 1.0
     moved = [part for part in (news, change) if np.ptp(part) > least]  # else its past says it all
     for part in moved:
@@ -115,6 +116,20 @@ def foretold(u: Array, errors: Array) -> float:
             z = np.abs(products.sum(axis=0)) / np.where(power > 0.0, power, 1.0)
             p = min(p, float(2.0 * normal_sf(z.max())))
     return float(min(1.0, p * len(moved) * len(FADING) * errors.shape[1]))
+
+
+def _left(y: Array, *known: Array) -> Array:
+    """What is left of y (n,) or (n, k) beside what is known (n,) or (n, .), by least squares."""
+    X = np.column_stack(known)
+    return np.asarray(y - X @ np.linalg.lstsq(X, y, rcond=None)[0])
+
+
+def _bent(u: Array) -> Array:
+    """Lines in ranges of an input (n,) with as many rows in each: any function of it, nearly."""
+    count = int(np.clip(len(u) // IN_RANGE, 1, RANGES))
+    ends = np.unique(np.quantile(u, np.arange(1, count) / count))
+    inside = np.eye(len(ends) + 1)[np.searchsorted(ends, u, side="right")]
+    return np.hstack([inside, inside * (u - u.mean())[:, None]])
 
 
 def _after(part: Array, fading: float) -> Array:

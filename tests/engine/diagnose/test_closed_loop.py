@@ -92,6 +92,27 @@ def test_errors_that_hold_a_part_of_their_own_row_s_input_are_no_controller(memo
     assert sum(p < 0.01 for p in p_values) < 3
 
 
+@pytest.mark.parametrize(
+    "part",
+    [
+        lambda u, half: 0.7 * u**2,
+        lambda u, half: np.clip(u, -0.5, 0.5),
+        lambda u, half: 0.7 * u * half,
+    ],
+)
+def test_nor_are_those_that_hold_some_function_of_it_or_for_some_of_the_time(part):
+    """A sensor or a resistance that is bent, or changed half way; of inputs that walk, and that are held."""
+    p_values = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        steps = np.repeat(rng.uniform(-1.7, 1.7, 400), rng.integers(3, 30, 400))[:400]
+        u = (np.cumsum(rng.standard_normal(400)) if seed % 2 else steps).copy()
+        errors = rng.standard_normal((400, 1))
+        errors[:, 0] += part((u - u.mean()) / u.std(), np.arange(400) >= 180)
+        p_values.append(foretold(u, errors))
+    assert sum(p < 0.01 for p in p_values) < 3
+
+
 @pytest.mark.parametrize("later", [False, True])
 def test_a_controller_is_no_direct_path(later):
     series = record(3, closed=True, later=later)
