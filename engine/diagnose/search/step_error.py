@@ -21,7 +21,7 @@ from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, Round, settle
-from engine.diagnose.search.substeps import can_be_finer
+from engine.diagnose.search.substeps import can_be_finer, have_finer
 from engine.errors import EngineError
 from engine.estimation.long_steps import apart as predictions_apart
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
@@ -48,7 +48,7 @@ def by_shorter_steps(
     ``fit`` is of the setting's model with the effects ``names``, without the one in question.
     """
     model, theta = setting.model, np.asarray(fit.theta)
-    if not can_be_finer(setting, series, theta[: len(model.parameters)]):
+    if not can_be_finer(setting, series, theta[: len(model.parameters)], names):
         return 0.0
     finer, extended = _finer(model, names, fit, series)
     if WHOLE * apart(fit, extended, series, finer) < EXPLAINED * gain:
@@ -73,9 +73,9 @@ def ranked_anew(
     least = found.refits[0].score - within
     refits = []
     for one in (*found.refits, *(() if found.generic is None else (found.generic,))):
+        own = [*names, one.effect.name]
         # outliers are judged by a filter of their own
-        if one.score >= least and not one.effect.traits.outliers:
-            own = [*names, one.effect.name]
+        if one.score >= least and have_finer(own, series) and not one.effect.traits.outliers:
             finer, extended = _finer(setting.model, own, one.fit, series)
             more = _gained(extended, one.fit, finer, kept)
             one = replace(one, gain=one.gain + more, score=one.score + more)
@@ -101,7 +101,7 @@ def decides(
     the last halving gained is more than further ones would.
     """
     model, theta = setting.model, np.asarray(fit.theta)
-    if not can_be_finer(setting, series, theta[: len(model.parameters)]):
+    if not can_be_finer(setting, series, theta[: len(model.parameters)], names):
         return 0.0
     best = found.refits[0]
     others = [
@@ -109,6 +109,7 @@ def decides(
         for one in found.refits
         if one not in found.equivalent
         and not (one.effect.traits.outliers or one.effect.traits.unnamed)
+        and have_finer([one.effect.name], series)
     ]
 
     def with_it(one: Refit) -> list[str]:
@@ -160,7 +161,8 @@ def steps_for_sizes(
     effects that were found, ``names``.
     """
     model, k = setting.model, series.substeps
-    if not can_be_finer(setting, series, np.asarray(fit.theta)[: len(model.parameters)]):
+    theta = np.asarray(fit.theta)[: len(model.parameters)]
+    if not can_be_finer(setting, series, theta, names):
         return k
     while k < most:
         finer, extended = _finer(model, names, fit, series)

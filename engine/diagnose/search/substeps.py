@@ -99,12 +99,20 @@ def prepare(
     return Prepared(records.refined(k), k, tuple(notes) if k > 1 else (), theta, finer=k < MOST)
 
 
-def can_be_finer(setting: Setting, series: Series, theta: Array) -> bool:
-    """Whether more steps a sample mean anything: of a model whose dt is a real one."""
+def can_be_finer(setting: Setting, series: Series, theta: Array, names: Sequence[str] = ()) -> bool:
+    """Whether more steps a sample mean anything: of a model whose dt is a real one, with effects ``names``."""
     model = setting.model
-    if not model.continuous or model.steps_counted:
+    if not model.continuous or model.steps_counted or not have_finer(names, series):
         return False
     return is_consistent(model, theta, sampled(setting))
+
+
+def have_finer(names: Sequence[str], series: Series) -> bool:
+    """Whether effects, by their names, can be had with more steps a sample than the series has.
+
+    What counts samples cannot where these are at no common step: times do not tell them from the steps between.
+    """
+    return all(name.partition(":")[0] not in COUNTING for name in names) or series.dt is not None
 
 
 def _regular(series: Series, other: Series) -> bool:

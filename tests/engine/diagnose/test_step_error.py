@@ -18,6 +18,7 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.search import step_error
 from engine.diagnose.search.checkpoint import NOTHING
 from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.step_error import steps_for_sizes
 from engine.diagnose.search.substeps import can_be_finer
 from engine.estimation.quasi_ml import quasi_ml
@@ -147,6 +148,28 @@ def test_steps_are_halved_only_where_that_means_something():
     assert not fine(counted, series)
     assert not fine(replace(DRIVE, continuous=False), series)
     assert fine(DRIVE, Series(series.y, u=series.u, t=series.t + 1e-2 * (series.t > 1.0)))
+
+
+def test_what_counts_samples_is_not_asked_of_shorter_steps_at_irregular_times():
+    """Beside a late sensor, on a record with one longer step, the search ended in an error."""
+    series = measured(0.02, 0.0, T=60)
+    apart = Series(series.y, u=series.u, t=series.t + 1e-2 * (series.t > 1.0))
+    setting = setting_for(DRIVE, apart, np.asarray(DRIVE.theta()))
+    late = extend(DRIVE, ["delay:tacho"], setting)
+    fit: Any = SimpleNamespace(model=late, theta=late.theta(), log_likelihood=0.0)
+    other: Any = SimpleNamespace(
+        effect=SimpleNamespace(
+            name="lag:tacho", traits=SimpleNamespace(outliers=False, unnamed=False)
+        ),
+        score=9.0,
+        gain=9.0,
+        fit=fit,
+    )
+    found = Round(SimpleNamespace(), (other,), None, ())  # type: ignore[arg-type]
+    names = ["delay:tacho"]
+    assert step_error.by_shorter_steps(9.0, setting, names, fit, apart, NOTHING) == 0.0
+    assert step_error.decides(found, names, fit, apart, setting, NOTHING, 4) == 0.0
+    assert steps_for_sizes(names, fit, apart, setting, 4, NOTHING) == 1
 
 
 @pytest.mark.parametrize(("drag", "steps"), [(1.5, 2), (0.3, 1)])
