@@ -18,6 +18,7 @@ from engine.diagnose.effects.augmentation import (
 from engine.diagnose.effects.effect import Effect, Split, per_point
 from engine.diagnose.effects.kinds import Kind, at_outputs, at_terminals
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input
 
@@ -68,6 +69,7 @@ def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
         look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
         held=(f"{name}_samples",),
         one_sided=True,
+        traits=Traits(whole=True),
     )
 
 

@@ -36,6 +36,8 @@ class Traits:
     neither of these), where the kind is natural. ``says_hold``: what a series would say instead, see
     :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
     parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
+    ``whole``: its size is a share that is 1 where the effect is there, of so many samples as its second
+    parameter says.
     """
 
     course: Course | None = None
@@ -49,6 +51,7 @@ class Traits:
     says_hold: str = ""
     contains: tuple[str, ...] = ()
     of_record: bool = False
+    whole: bool = False
 
 
 USUAL = Traits()

@@ -16,6 +16,7 @@ from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.echoes import without_echoes
 from engine.diagnose.search.elsewhere import bent
 from engine.diagnose.search.refits import (
     Refit,
@@ -122,7 +123,7 @@ def refit_best(
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)
-    refits = followed(refits, series, fit, progress, kept)
+    refits = without_echoes(followed(refits, series, fit, progress, kept), series)
     refits = _beside_look_alikes(refits, fit, series, seen, way, progress, kept)
     if bent(refits, series):
         elsewhere, scores = again(refits, kept)
@@ -130,7 +131,8 @@ def refit_best(
         seen = seen.with_untested(scores)
         refits = _best_of_each([*refits, *elsewhere])
         refits = followed(refits, series, fit, progress, kept.further("from elsewhere"))
-    return settle(seen, without_one_of_many(refits, series), series, setting)
+    refits = without_echoes(without_one_of_many(refits, series), series)
+    return settle(seen, refits, series, setting)
 
 
 def _beside_look_alikes(

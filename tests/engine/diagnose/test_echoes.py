@@ -1,0 +1,68 @@
+"""Of a reading that comes late all comes late; a share of it, long after, is an echo and no delay."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search.echoes import without_echoes
+from engine.diagnose.search.refits import Refit
+from engine.estimation.quasi_ml import quasi_ml
+
+T = 100
+
+OVEN = engine.continuous(
+    name="oven",
+    drift=lambda a, u, t, th: ([th.k * u[0]], [[-1.0 / th.tau]]),
+    diffusion=lambda a, u, t, th: [[th.q]],
+    measurement=lambda a, u, t, th: ([0.0], [[1.0]], [[th.r]]),
+    initial=lambda th: (None, [0.0], [[1e-2]]),
+    linear={"above": "K"},
+    inputs={"heater": "W"},
+    outputs={"reading": "K"},
+    parameters=[
+        engine.Parameter("tau", 20.0, "s", (1.0, 500.0)),
+        engine.Parameter("k", 0.1, "K/s/W", (0.0, 10.0)),
+        engine.Parameter("q", 1e-3, "K^2/s", (1e-8, 1.0)),
+        engine.Parameter("r", 0.01, "K^2", (1e-6, 1.0)),
+    ],
+)
+
+
+def refit(late):
+    """Half of the reading eight samples late, estimated where ``late`` of the true readings is read."""
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(0.0, 30.0, T // 20), 20)
+    x = np.zeros(T)
+    for t in range(1, T):
+        x[t] = x[t - 1] * np.exp(-1 / 20.0) + 2.0 * (1 - np.exp(-1 / 20.0)) * u[t - 1]
+    series = engine.Series(y=late(x) + 0.3 * rng.standard_normal(T), u=u, dt=1.0)
+    fit = quasi_ml(OVEN, series)
+    effect = make_effect("delay:reading", setting_for(OVEN, series, np.asarray(fit.theta)))
+    known = {"delay_reading": 0.5, "delay_reading_samples": 8.0}
+    theta = effect.apply(OVEN).theta({**fit.theta.asdict(), **known})
+    found = quasi_ml(effect.apply(OVEN), series, theta, [*fit.free, "delay_reading"])
+    gain = 2.0 * (found.log_likelihood - fit.log_likelihood)
+    return Refit(effect, found, gain, gain), series
+
+
+def shifted(x, d):
+    return np.concatenate([np.full(d, x[0]), x[:-d]])
+
+
+def test_half_of_twice_as_late_is_told_as_all_of_it():
+    """As the search may find it, from a probe that is too long; this one is less likely than the truth."""
+    found, series = refit(lambda x: shifted(x, 4))
+    assert found.size < 0.8
+    (told,) = without_echoes([found], series)
+    assert told.fit.theta["delay_reading_samples"] in (4.0, 5.0)
+    assert told.size == pytest.approx(4.0 / told.fit.theta["delay_reading_samples"], abs=0.12)
+    assert told.gain > found.gain - 4.0
+
+
+def test_an_echo_is_no_delay():
+    """Half of the reading as it is, half of it long after: no delay reads so, and the next best leads."""
+    found, series = refit(lambda x: 0.5 * x + 0.5 * shifted(x, 8))
+    assert found.size == pytest.approx(0.5, abs=0.1)
+    assert without_echoes([found], series) == []
