@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, gammaincinv, ndtr, ndtri, stdtr, stdtrit
+from scipy.special import bdtrc, chdtrc, chdtri, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from engine.arrays import Array
 
@@ -28,6 +28,11 @@ def chi2_isf(p: Values, degrees: Values) -> Array:
 def chi2_quantile(p: Values, degrees: float) -> Array:
     """The value below which chi2(degrees) is with probability p."""
     return np.asarray(2.0 * gammaincinv(0.5 * degrees, p))
+
+
+def binomial_sf(least: Values, n: Values, share: Values) -> Array:
+    """P(``least`` or more of n), each with the probability ``share``."""
+    return np.asarray(bdtrc(np.asarray(least) - 1, n, share), dtype=float)
 
 
 def normal_sf(value: Values) -> Array:

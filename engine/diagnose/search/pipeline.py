@@ -16,6 +16,7 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
+from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import already_there, undetermined
@@ -163,7 +164,11 @@ def find_causes(
         verdict = Verdict.UNKNOWN
     named = [r for r in found.rounds if r.equivalent]
     own_terms = already_there(named)
-    against = [*undetermined(named), *own_terms.values()]
+    against = [
+        *undetermined(named),
+        *own_terms.values(),
+        *outliers_at_inputs(named, base, series, seed),
+    ]
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN
