@@ -228,9 +228,12 @@ def _one_after_the_other(  # noqa: PLR0913
     if tails is None:
         return Search(base, fit, tuple(rounds), alarm, explained, unweighed), begun
     final = tails.fit if series is whole else _told_again(fit, tails, whole)
-    if of_state is not None and not of_state.beaten(rounds[of_state.place :], final, whole):
-        best = of_state.found.refits[0].fit
-        return Search(base, best, (*rounds[: of_state.place], of_state.found), False), None
+    if of_state is not None:
+        better = of_state.better(rounds[of_state.place :], final, whole)
+        if better is not None:
+            ahead, best = better
+            ahead = tuple(_of_last(one, of_state.found.refits[0], best, base) for one in ahead)
+            return Search(base, best, (*rounds[: of_state.place], *ahead), False), None
     rounds[:] = [_of_last(found, tails, final, base) for found in rounds]
     return Search(base, final, tuple(rounds), alarm, explained, unweighed), None
 
@@ -261,11 +264,36 @@ class _OfState:
     found: Round
     before: float
 
-    def beaten(self, rounds: Sequence[Round], final: QuasiFit, series: Series) -> bool:
-        """Whether outliers of a reading with what was found beside them, to the ``final`` fit, score better."""
+    def better(
+        self, rounds: Sequence[Round], final: QuasiFit, series: Series
+    ) -> tuple[tuple[Round, ...], QuasiFit] | None:
+        """Rounds led by them, and their fit, that score no less than outliers of a reading; else None.
+
+        Those of the reading are the first of the ``rounds``, ``final`` the fit with all that was found after
+        them. What was found there may show beside outliers of the state as well, as a cycle that has nothing
+        to do with jumps does, and then says nothing for either. So each is weighed with as much beside it as
+        it likes.
+        """
+        later = [found for found in rounds[1:] if found.equivalent]
         effects = [found.refits[0].effect for found in rounds if found.equivalent]
+        least = self._score(final, effects, series)
+        of_state = self.found.refits[0]
+        ahead: tuple[Round, ...] = (self.found,)
+        best, most = of_state.fit, of_state.score
+        for k in range(1, len(later) + 1):
+            beside = [found.refits[0].effect for found in later[:k]]
+            try:
+                fit = _told_again(later[k - 1].refits[0].fit, of_state, series)
+            except (EngineError, np.linalg.LinAlgError):
+                continue
+            score = self._score(fit, [of_state.effect, *beside], series)
+            if score > most:
+                most, best, ahead = score, fit, (self.found, *later[:k])
+        return (ahead, best) if most >= least else None
+
+    def _score(self, fit: QuasiFit, effects: Sequence[Effect], series: Series) -> float:
         costs = sum(cost(effect, series) for effect in effects)
-        return 2.0 * (final.log_likelihood - self.before) - costs > self.found.refits[0].score
+        return 2.0 * (fit.log_likelihood - self.before) - costs
 
 
 def _of_a_reading(found: Round, model: MixedModel) -> Refit | None:
