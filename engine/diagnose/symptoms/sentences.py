@@ -44,10 +44,13 @@ def sentence(region: Region, what: str, unit: str) -> str:
         widths = abs(region.mean) / region.band
         share = percent(widths) if widths < 2.0 else f"{number(widths, 2)} times"
         text += f", {share}{' of' if widths < 2.0 else ''} the band's width"
-    return (
-        f"{text}); {percent(region.share_error)} of the squared error comes from "
-        f"{percent(region.share_samples)} of the samples."
-    )
+    error, samples = percent(region.share_error), percent(region.share_samples)
+    if region.share_error < region.share_samples:
+        return (
+            f"{text}), though no more is wrong there than elsewhere: {error} of the squared error comes from "
+            f"{samples} of the samples."
+        )
+    return f"{text}); {error} of the squared error comes from {samples} of the samples."
 
 
 def where(region: Region) -> str:

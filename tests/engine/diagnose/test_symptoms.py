@@ -25,7 +25,7 @@ from engine.diagnose.symptoms.error_localization import (
 )
 from engine.diagnose.symptoms.residuals import auxiliary, standardised, whiteness
 from engine.diagnose.symptoms.runs import covariance_of, smoothed, start_state
-from engine.diagnose.symptoms.sentences import overall
+from engine.diagnose.symptoms.sentences import overall, sentence
 from engine.diagnose.symptoms.symptoms import find_symptoms
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.kalman import kalman_smoother
@@ -274,6 +274,23 @@ def test_a_sure_error_that_explains_nothing_is_not_worth_a_sentence():
     regions = by_signal(errors, "state", "x", "V", x)
     assert max(abs(r.score) for r in regions) > 50.0
     assert most_telling(regions, 4) == []
+
+
+@pytest.mark.parametrize(
+    ("scatter", "said"),
+    [
+        (0.1, "band's width); "),
+        (2.0, "width), though no more is wrong there than elsewhere: 0.9 %"),
+    ],
+)
+def test_where_it_is_wrong_is_told_beside_how_wrong_it_is_elsewhere(scatter, said):
+    """A sure bias was told with 5.9 % of the squared error, from 38 % of the samples, as if that were much."""
+    rng = np.random.default_rng(15)
+    x = rng.uniform(0.0, 1.0, 800)
+    e = np.where(x < 0.2, 0.5, scatter * rng.standard_normal(800)) + 0.1 * rng.standard_normal(800)
+    regions = by_signal(Errors("y", "V", e, np.ones(800)), "state", "x", "V", x)
+    lowest = max((r for r in regions if r.lowest), key=lambda r: abs(r.score))
+    assert said in sentence(lowest, "prediction", "V")
 
 
 def test_a_channel_of_large_values_has_its_bands():
