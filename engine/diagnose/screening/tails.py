@@ -18,6 +18,7 @@ from scipy.special import ndtr, ndtri
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.screening.rounding import below_rounding
 from engine.diagnose.screening.screen import Test
 from engine.distributions import kurtosis_z, normal_sf
 from engine.estimation.expectation import parameter_scale
@@ -139,9 +140,12 @@ def fit_tails(
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
     theta, extended = np.asarray(fit.theta), effect.apply(fit.model)
 
+    lost = below_rounding(fit.model, theta, series, _first_state(fit, series))
+
     def value(thetas: Array, own: Array) -> Array:
         each = np.broadcast_to(thetas, (len(own), len(theta)))
-        return moment_filter(extended, np.hstack([each, own]), series).log_likelihood
+        likely = moment_filter(extended, np.hstack([each, own]), series).log_likelihood
+        return likely if lost is None else likely - lost(each)
 
     total = value(theta, pairs)
     best = int(np.argmax(total))
@@ -185,6 +189,13 @@ def _sizes(fit: QuasiFit, effect: Effect, series: Series) -> Array:
     own = float(stacked(noise)[0, i, i])
     wider = np.sqrt(np.median(seen) / own) if own > 0.0 else 1.0
     return np.array([1.0, max(wider, 1.0)]) if np.isfinite(wider) else np.ones(1)
+
+
+def _first_state(fit: QuasiFit, series: Series) -> Array:
+    """The filtered nonlinear states (na,) at the first reading."""
+    t = int(np.argmax(series.observed.any(axis=1)))
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    return np.asarray(path.filtered[t, : fit.model.na])
 
 
 def _uphill(
