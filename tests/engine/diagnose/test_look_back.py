@@ -1,6 +1,7 @@
 """Looking back at what was found is bounded, however little noise there is: counted in iterations."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,6 +52,33 @@ def looked_back(record, parts, monkeypatch):
 
     monkeypatch.setattr(joint_refit, "quasi_ml", counting)
     return look
+
+
+def test_what_is_seen_only_beside_later_effects_is_weighed_where_it_may_lead():
+    """The most promising two, from where the screen sees them; neither outliers nor what is known."""
+
+    def score(name, statistic, **traits):
+        usual = {"outliers": False, "unnamed": False}
+        own = tuple(SimpleNamespace(name=f"{name}{part}") for part in ("", "_width"))
+        effect = SimpleNamespace(
+            name=name, traits=SimpleNamespace(**usual | traits), parameters=own
+        )
+        return SimpleNamespace(effect=effect, statistic=statistic, size=0.5, at=(2.0,))
+
+    seen = SimpleNamespace(
+        scores=[
+            score("drag", 80.0),
+            score("cubic", 70.0),
+            score("square", 90.0),
+            score("known", 200.0),
+            score("tails", 200.0, outliers=True),
+            score("force", 200.0, unnamed=True),
+        ]
+    )
+    found = joint_refit._newcomers(seen, {"known"}, 100.0, {"k": 3.0})
+    assert [effect.name for effect, _ in found] == ["square", "drag"]
+    assert found[1][1] == {"k": 3.0, "drag": 0.5, "drag_width": 2.0}
+    assert joint_refit._newcomers(seen, {"known"}, 500.0, {}) == []
 
 
 @pytest.mark.slow
