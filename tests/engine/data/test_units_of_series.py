@@ -400,3 +400,15 @@ def test_rates_in_the_records_unit_of_time_are_enough(units, told):
     model = replace(model, outputs=dict.fromkeys(model.outputs, "m^3/s"))
     series = engine.Series(np.arange(9.0), np.ones(9), dt=1.0, time_unit="d")
     assert bool(about_clock(model, [series])) == told
+
+
+@pytest.mark.parametrize(
+    ("unit", "told"), [("W s/m^3/K", False), ("W s^2/m^3/K", True), ("N/s", True)]
+)
+def test_a_coefficient_of_an_input_per_second_may_have_its_seconds(unit, told):
+    """A heat loss that grows with a wind in m/s is in W s/m^3/K, whatever the equations' rates count."""
+    parameters = [engine.Parameter("g", 1.0, "1/min"), engine.Parameter("loss", 1.0, unit)]
+    model = replace(furnace(), parameters=parameters)
+    model = replace(model, inputs=dict.fromkeys(model.inputs, "m/s"))
+    series = engine.Series(np.arange(9.0), np.ones(9), dt=1.0, time_unit="min")
+    assert bool(about_clock(model, [series])) == told
