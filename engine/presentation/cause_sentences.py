@@ -117,12 +117,14 @@ def late(cause: Cause, step: float | None, clock: str) -> str:
 
 
 def when(cause: Cause, step: float | None = None) -> str:
-    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, ``, limit 5 kW``.
+    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, limits of what has one.
 
     Of what ends with the record in which it comes that is said, too.
     ``step`` is the time between samples, if it is the same throughout.
     """
-    wanted = ("time", "end", "frequency") if cause.where == "time" else ("limit",)
+    if cause.where != "time":
+        return _limits(cause)
+    wanted = ("time", "end", "frequency")
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     only = any(word == "stays" and value == 0.0 for word, _, value in own)
     return "".join(
@@ -131,6 +133,27 @@ def when(cause: Cause, step: float | None = None) -> str:
         if word in wanted
         for unit in (cause.units.get(name, ""),)
     ) + (", in the record of that time only" if only else "")
+
+
+def _limits(cause: Cause) -> str:
+    """``, limit 5 kW``, ``, lower limit 1 m/s`` of what is lost below it, ``, limits -5 V and 5 V`` of both."""
+    own = {name.rpartition("_")[2]: (name, value) for name, value in cause.parameters.items()}
+    if "limit" not in own:
+        return ""
+    name, limit = own["limit"]
+
+    def told(value: float) -> str:
+        return with_unit(value, cause.units.get(name, ""), 5)
+
+    side = own["side"][1] if "side" in own else 1.0  # as :class:`engine.diagnose.effects.clip.Clip` has it
+    if side < -0.5:
+        return f", lower limit {told(limit)}"
+    if side > 0.5:
+        return f", limit {told(limit)}"
+    if "zero" not in own:
+        return f", limit {told(limit)} on both sides"
+    low, high = sorted((limit, 2.0 * own["zero"][1] - limit))
+    return f", limits {told(low)} and {told(high)}"
 
 
 def standing(other: LookAlike, equivalent: Sequence[str]) -> str:

@@ -340,6 +340,19 @@ def test_a_headline_says_at_which_limit_a_signal_saturates():
     assert when(crowd) == ", limit 5.03 x 1000 persons"
 
 
+@pytest.mark.parametrize(
+    ("side", "zero", "told"),
+    [(1.0, 0.0, ", limit 1.25 m/s"), (-1.0, 0.0, ", lower limit 1.25 m/s"),
+     (0.0, 3.0, ", limits 1.25 m/s and 4.75 m/s"), (0.0, None, ", limit 1.25 m/s on both sides")],
+)  # fmt: skip
+def test_a_headline_says_on_which_side_a_signal_saturates(side, zero, told):
+    """An anemometer that stands still below 1.25 m/s was told as one that reads no more than that."""
+    values = {"clip_wind": 1.0, "clip_wind_limit": 1.25, "clip_wind_side": side}
+    values |= {} if zero is None else {"clip_wind_zero": zero}
+    found = replace(cause(("linear:air",)), parameters=values, units={"clip_wind_limit": "m/s"})
+    assert when(found) == told
+
+
 def test_a_headline_says_when_it_happens():
     parameters = {"step_y": 3.0, "step_y_time": 1899.0}
     once = replace(
