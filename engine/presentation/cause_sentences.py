@@ -108,12 +108,9 @@ def value_of(value: float, unit: str, error: float | None, clock: str, step: flo
 
 
 def late(cause: Cause, step: float | None, clock: str) -> str:
-    """How late a delay is, in time as well: behind its size, or where that is a share, in samples and time."""
-    if cause.unit == SAMPLES:
-        told = "+-" in estimate(cause.size, cause.standard_error, cause.unit)
-        return in_time(cause.size, SAMPLES, step, clock) if told else ""
-    own = (v for name, v in cause.parameters.items() if cause.units.get(name) == SAMPLES)
-    return "".join(f", {number(v)} samples late{in_time(v, SAMPLES, step, clock)}" for v in own)
+    """`` (0.02 s)`` behind the size of a delay that is told in samples; "" of all else."""
+    told = cause.unit == SAMPLES and "+-" in estimate(cause.size, cause.standard_error, cause.unit)
+    return in_time(cause.size, SAMPLES, step, clock) if told else ""
 
 
 def when(cause: Cause, step: float | None = None) -> str:
@@ -145,7 +142,9 @@ def _limits(cause: Cause) -> str:
     def told(value: float) -> str:
         return with_unit(value, cause.units.get(name, ""), 5)
 
-    side = own["side"][1] if "side" in own else 1.0  # as :class:`engine.diagnose.effects.clip.Clip` has it
+    side = (
+        own["side"][1] if "side" in own else 1.0
+    )  # as :class:`engine.diagnose.effects.clip.Clip` has it
     if side < -0.5:
         return f", lower limit {told(limit)}"
     if side > 0.5:

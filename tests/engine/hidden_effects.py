@@ -92,7 +92,7 @@ CASES = {
     "drift": ("reading", {"drift_reading": 0.015}),
     "gain": ("reading", {"gain_reading": 0.5}),
     "lag": ("reading", {"lag_reading": 0.6}),
-    "delay": ("reading", {"delay_reading": 1.0, "delay_reading_samples": 3.0}),
+    "delay": ("reading", {"delay_reading": 3.0, "delay_reading_samples": 3.0}),
     "slow-sensor": ("reading", {"slow_sensor_reading": 0.3}),
     "slow-input": ("force", {"slow_input_force": 0.3}),
     "play": ("force", {"play_force": 0.4}),

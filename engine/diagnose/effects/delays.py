@@ -46,23 +46,27 @@ def _lag(setting: Setting, channel: str, name: str) -> Effect:
 
 
 def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
-    """A share of the reading comes several samples late; all of it where the size is one."""
+    """A reading that arrives some samples late, or a part of it does; sized as that of an input is.
+
+    Delays of the two are the same on a linear plant that begins at rest. So neither may be more free than the
+    other: a share that comes late, up to one and a half, once fitted the noise and gave the sensor the name.
+    """
 
     def weights(own: Any) -> list[Any]:
-        # held at a whole number, where one weight is the size; linear in between
-        return [
-            own[0] * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, LONGEST_DELAY + 1)
-        ]
+        parts = _parts(own, LONGEST_DELAY)
+        return list(parts[0] if len(parts) == 1 else parts.T)
 
     return Effect(
         "delay",
         channel,
         "measurement",
         f"delay of the sensor {channel}",
-        f"{channel} = (1 - {name}) y_t + {name} y_(t-d),  d = {name}_samples",
+        f"{channel} = y_t + {name} / d (y_(t-d) - y_t),  d = {name}_samples; y_(t-{name}) where that is longer",
         (
-            Parameter(name, 0.0, "1", (0.0, 1.5), "share that comes late"),
-            Parameter(f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "how late"),
+            Parameter(name, 0.0, "samples", (0.0, float(LONGEST_DELAY)), "mean delay"),
+            Parameter(
+                f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "latest part"
+            ),
         ),
         lambda model: _late_reading(model, setting, channel, LONGEST_DELAY, weights),
         probes=tuple((float(d),) for d in range(2, LONGEST_DELAY + 1)),

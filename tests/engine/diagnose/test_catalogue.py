@@ -288,7 +288,7 @@ def test_a_delay_of_the_sensor_is_that_of_the_reading():
     rng = np.random.default_rng(4)
     model = extend(DRIVE, ["delay:reading"])
     series = engine.Series(np.zeros(60), levels(rng, 60), dt=DT)
-    theta = np.asarray(model.theta({"delay_reading": 1.0, "delay_reading_samples": 3.0}))
+    theta = np.asarray(model.theta({"delay_reading": 3.0, "delay_reading_samples": 3.0}))
     late, _ = noise_free(model, theta, series, np.array([0.3, 0.1, *np.zeros(model.nx - 2)]))
     now, _ = noise_free(DRIVE, np.asarray(DRIVE.theta()), series, np.array([0.3, 0.1]))
     np.testing.assert_allclose(late[3:], now[:-3], atol=1e-12)

@@ -152,7 +152,7 @@ def test_an_exact_model_has_the_same_likelihood_on_a_refined_series():
     "own",
     [
         {"lag_y": 0.6},
-        {"delay_y": 1.0, "delay_y_samples": 3.0},
+        {"delay_y": 3.0, "delay_y_samples": 3.0},
         {"delay_drive": 1.0},
         {"delay_drive": 3.0, "delay_drive_samples": 3.0},
         {"hold_drive": 1.0},
@@ -238,7 +238,7 @@ def test_a_model_that_counts_samples_takes_series_of_its_own_steps_only():
     """Once a delay of three samples was one of three steps, a fourth of it, and others paid for it."""
     model, series = engine.get_model("oscillator"), swings()
     theta = np.asarray(model.theta())
-    own = {"delay_y": 1.0, "delay_y_samples": 3.0}
+    own = {"delay_y": 3.0, "delay_y_samples": 3.0}
     late = extend(model, ["delay:y"], setting_for(model, series, theta))
     at = late.theta(own)
     with pytest.raises(SeriesError, match="4 steps a sample"):

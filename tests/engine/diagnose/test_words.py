@@ -265,12 +265,6 @@ def test_a_delay_is_told_in_time_too_where_samples_are_evenly_apart():
     assert "2 +- 0.1 samples (10 min), p" in headline(delay, 5.0, "min")
     assert "2 +- 0.1 samples, p" in headline(delay)
     assert "(0" not in late(replace(delay, size=0.05), 0.01, "s")  # of no certain size
-    share = replace(
-        delay, size=0.9, unit="1", where="measurement", parameters={"delay_y": 0.9, "delay_y_samples": 3.0},
-        units={"delay_y": "1", "delay_y_samples": "samples"},
-    )  # fmt: skip
-    assert "0.9 +- 0.1, 3 samples late (0.03 s), p" in headline(share, 0.01, "s")
-    assert "0.9 +- 0.1, 3 samples late, p" in headline(share)
     assert late(cause(("linear:air",)), 0.01, "s") == ""
     shown = with_time({**asdict(delay), "late": late(delay, 0.01, "s")})
     assert shown.replace("\u202f", " ").endswith("samples (0.02 s)")
