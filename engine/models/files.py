@@ -47,8 +47,12 @@ class ModelFile:
 
     @property
     def models(self) -> dict[str, MixedModel]:
-        """{name of the variable: model}."""
-        return {key: one for key, one in vars(self.module).items() if isinstance(one, MixedModel)}
+        """{name of the variable: model}; one that has several names by the first of them."""
+        first: dict[int, tuple[str, MixedModel]] = {}
+        for key, one in vars(self.module).items():
+            if isinstance(one, MixedModel):
+                first.setdefault(id(one), (key, one))
+        return dict(first.values())
 
     @property
     def changed(self) -> bool:

@@ -101,6 +101,15 @@ def test_a_file_belongs_to_what_it_imports(tmp_path):
     assert registry.plugin_errors() == {}
 
 
+def test_a_model_with_two_names_is_one(tmp_path):
+    """``model = mine`` at the end of a file made it ask which of the two was meant."""
+    path = write(tmp_path, "valve")
+    path.write_text(f"{path.read_text()}model = mine\n")
+    assert model_from(str(path)) is not None
+    assert model_from(f"{path}:model").name == "valve"
+    assert registry.register_files([str(path)]) == ["valve"]
+
+
 def test_a_broken_file_of_a_folder_stops_nothing_and_one_that_is_named_does(tmp_path):
     write(tmp_path, "valve")
     (tmp_path / "broken.py").write_text("1 / 0")
