@@ -50,6 +50,7 @@ def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
 
     Delays of the two are the same on a linear plant that begins at rest. So neither may be more free than the
     other: a share that comes late, up to one and a half, once fitted the noise and gave the sensor the name.
+    A lag ends at one sample, which an input's delay does not, so the latest part may be one sample late, too.
     """
 
     def weights(own: Any) -> list[Any]:
@@ -69,11 +70,11 @@ def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
             ),
         ),
         lambda model: _late_reading(model, setting, channel, LONGEST_DELAY, weights),
-        probes=tuple((float(d),) for d in range(2, LONGEST_DELAY + 1)),
+        probes=tuple((float(d),) for d in range(1, LONGEST_DELAY + 1)),
         look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
         held=(f"{name}_samples",),
         one_sided=True,
-        traits=Traits(whole=True),
+        traits=Traits(whole=True, contains=("lag",)),  # of a sample or less, it is one
     )
 
 
