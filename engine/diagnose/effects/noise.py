@@ -16,10 +16,12 @@ from engine.diagnose.effects.effect import (
     per_point,
 )
 from engine.diagnose.effects.kinds import Kind, at_outputs, at_signals, each_signal
+from engine.diagnose.effects.measurement import observers
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import POSITIVE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import promote
 from engine.units import product
 from engine.words import with_unit
 
@@ -106,13 +108,14 @@ def _rounded(y: Array, variance: float) -> Array:
 
 
 def _variance(setting: Setting, channel: str) -> Effect | None:
-    """``noise->signal``: the noise grows with |signal| (a nonlinear state or input) or with time."""
+    """``noise->signal``: the noise grows with |signal| (a nonlinear state or input) or with time.
+
+    That of an output may grow with a linear state that it reads: with the reading, as of many a sensor.
+    """
     target, _, signal = channel.partition("->")
     model = setting.model
     at_output = target in model.outputs
-    if not (at_output or target in setting.states):
-        return None
-    if signal != "time" and signal not in {**model.nonlinear, **model.inputs}:
+    if not (at_output or target in setting.states) or signal not in _signals(setting, target):
         return None
     name = setting.identifier("variance", target, signal)
     first, last = setting.run
@@ -148,7 +151,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         f"log variance of the noise of {target} + {name} * {what} / {name}_per"
         + (setting.counted if origin is None else ""),
         (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
-        lambda model: _with_noise(model, target, factor),
+        lambda model: _with_noise(promote(model, _linear(model, signal)), target, factor),
         probes=(tuple(p.default for p in further),),
         look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
         traits=Traits(noise_level=True, contains=("level",)),
@@ -157,10 +160,22 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_variance(setting: Setting) -> list[str]:
+def _signals(setting: Setting, target: str) -> list[str]:
+    """What the noise of an output or a state may grow with."""
     model = setting.model
-    signals = [*model.nonlinear, *model.inputs, "time"]
-    return [f"{noise}->{signal}" for noise in each_signal(setting) for signal in signals]
+    read = observers(setting, model, target) if target in model.outputs else ()
+    linear = [name for name in read if name in model.linear]
+    return [*model.nonlinear, *linear, *model.inputs, "time"]
+
+
+def _linear(model: MixedModel, signal: str) -> list[str]:
+    """The signal, where it is a linear state: variances depend on nonlinear ones only."""
+    return [signal] if signal in model.linear else []
+
+
+def _each_variance(setting: Setting) -> list[str]:
+    noises = each_signal(setting)
+    return [f"{noise}->{signal}" for noise in noises for signal in _signals(setting, noise)]
 
 
 def _correlation(setting: Setting, channel: str) -> Effect | None:
