@@ -171,6 +171,7 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
         held=(f"{name}_samples", f"{name}_before", spread.name),
         spread=spread.name,
         one_sided=True,
+        traits=Traits(whole=True),
     )
 
 

@@ -36,8 +36,8 @@ class Traits:
     neither of these), where the kind is natural. ``says_hold``: what a series would say instead, see
     :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
     parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
-    ``whole``: its size is a share that is 1 where the effect is there, of so many samples as its second
-    parameter says.
+    ``whole``: it is a delay whose size is the mean, and all of it, where it is there, is so late; its second
+    parameter says how late its latest part is.
     """
 
     course: Course | None = None

@@ -1,6 +1,6 @@
-"""A sensor that is late is late as a whole.
+"""What is late is late as a whole.
 
-The size of such an effect is the share of the reading that comes late, 0 where nothing does. A half that comes
+A delay has a mean, its size, and a latest part, and between them the share that comes late. A half that comes
 eight samples late is much the same as all of it four samples late where a record is smooth, and then that is
 what is told. Where it is not the same, no delay is what the data show but an echo: a cycle that the model does
 not know says today what it said a day ago, and one that is smoothed says a little of all that was.
@@ -19,12 +19,8 @@ from engine.errors import EngineError
 from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.statespace.model import Theta
 
-ERRORS = (
-    2.0  # standard errors by which a share may be away from that of a delay between two samples
-)
-ALIKE = (
-    ERRORS**2
-)  # of 2 x log-likelihood that all of the reading may explain less, being one number less
+ERRORS = 2.0  # standard errors by which a mean may be away from that of a delay between two samples
+ALIKE = ERRORS**2  # of 2 x log-likelihood that all of it may explain less, being one number less
 
 
 def without_echoes(refits: Sequence[Refit], series: Series) -> list[Refit]:
@@ -47,18 +43,18 @@ def _is_partial(found: Refit) -> bool:
     if not found.effect.traits.whole or found.fit.given_up or not found.score > 0.0:
         return False
     samples, error = _samples(found.fit.theta, found), found.standard_error
-    if samples <= min(k for (k,) in found.effect.probes) or not np.isfinite(error):
+    if samples <= min(probe[0] for probe in found.effect.probes) or not np.isfinite(error):
         return False
-    return found.size + ERRORS * error < 1.0 - 1.0 / samples
+    return found.size + ERRORS * error < samples - 1.0
 
 
 def _whole(found: Refit, series: Series) -> Refit | None:
-    """The refit with all of the reading late, by fewer samples, where it explains as much; else None."""
+    """The refit with all of it late, by fewer samples, where it explains as much; else None."""
     known, name = found.fit, found.effect.parameters[1].name
     null = known.log_likelihood - 0.5 * found.gain
-    fewer = [k for (k,) in found.effect.probes if k < _samples(known.theta, found)]
-    values = known.theta.asdict() | {found.effect.size.name: 1.0}
-    starts = [known.model.theta(values | {name: k}) for k in fewer]
+    fewer = [k for k, *_ in found.effect.probes if k < _samples(known.theta, found)]
+    size, values = found.effect.size.name, known.theta.asdict()
+    starts = [known.model.theta(values | {size: k, name: k}) for k in fewer]
 
     def told(at: int) -> Refit | None:
         try:

@@ -40,7 +40,7 @@ def refit(late):
     series = engine.Series(y=late(x) + 0.3 * rng.standard_normal(T), u=u, dt=1.0)
     fit = quasi_ml(OVEN, series)
     effect = make_effect("delay:reading", setting_for(OVEN, series, np.asarray(fit.theta)))
-    known = {"delay_reading": 0.5, "delay_reading_samples": 8.0}
+    known = {"delay_reading": 4.0, "delay_reading_samples": 8.0}
     theta = effect.apply(OVEN).theta({**fit.theta.asdict(), **known})
     found = quasi_ml(effect.apply(OVEN), series, theta, [*fit.free, "delay_reading"])
     gain = 2.0 * (found.log_likelihood - fit.log_likelihood)
@@ -54,15 +54,14 @@ def shifted(x, d):
 def test_half_of_twice_as_late_is_told_as_all_of_it():
     """As the search may find it, from a probe that is too long; this one is less likely than the truth."""
     found, series = refit(lambda x: shifted(x, 4))
-    assert found.size < 0.8
+    assert found.size < 6.0
     (told,) = without_echoes([found], series)
-    assert told.fit.theta["delay_reading_samples"] in (4.0, 5.0)
-    assert told.size == pytest.approx(4.0 / told.fit.theta["delay_reading_samples"], abs=0.12)
+    assert told.size == pytest.approx(4.0, abs=0.5)
     assert told.gain > found.gain - 4.0
 
 
 def test_an_echo_is_no_delay():
     """Half of the reading as it is, half of it long after: no delay reads so, and the next best leads."""
     found, series = refit(lambda x: 0.5 * x + 0.5 * shifted(x, 8))
-    assert found.size == pytest.approx(0.5, abs=0.1)
+    assert found.size == pytest.approx(4.0, abs=0.8)
     assert without_echoes([found], series) == []
