@@ -64,7 +64,10 @@ _KEPT: WeakKeyDictionary[ModelFunction, _Kept] = WeakKeyDictionary()
 
 @dataclass
 class OnTape:
-    """A model's function on tape, for some rows; its ``call``, and inputs, times and steps of a record."""
+    """A model's function on tape, for some rows; its ``call``, and inputs, times and steps of a record.
+
+    ``moves``: it is the dynamics, whose first result are the states of the next row.
+    """
 
     kept: _Kept
     lines: Lines
@@ -73,6 +76,7 @@ class OnTape:
     t: Array
     dt: Array
     shapes: Sequence[tuple[int, ...]]
+    moves: bool
 
     @property
     def results(self) -> tuple[Array, ...]:
@@ -96,8 +100,12 @@ class OnTape:
             if not evaluate(*given):
                 return True  # nothing is made of it
         there = np.asarray(np.isfinite(a).all(axis=1))  # nothing is made of what others say
-        pairs = zip(self.results, self.call(t, a), strict=True)
-        if not all(_same(taped, called, there) for taped, called in pairs):
+        # what stops a state exactly, in one order of its sums, leaves rounding of where it was in another
+        least = [np.zeros(shape) for shape in self.shapes]
+        if self.moves:
+            least[0][: a.shape[1]] = np.abs(a[there]).max(axis=0, initial=0.0)
+        both = zip(self.results, self.call(t, a), least, strict=True)
+        if not all(_same(taped, called, there, own) for taped, called, own in both):
             self.kept.over = True
         return not self.kept.over
 
@@ -115,11 +123,15 @@ class OnTape:
                 self.kept.over = True
 
 
-def _same(taped: Array, called: Array, there: NDArray[np.bool_]) -> bool:
-    """Whether results (1 or M, ...) are the same in rows ``there`` (M,), each entry by its size over all."""
+def _same(taped: Array, called: Array, there: NDArray[np.bool_], least: Array) -> bool:
+    """Whether results (1 or M, ...) are the same in rows ``there`` (M,), each entry by its size over all.
+
+    ``least`` (...) are sizes that an entry has at least.
+    """
     taped, called = (x[there] if len(x) > 1 else x for x in (taped, called))
     finite = np.isfinite(called)
-    sizes = np.abs(np.where(finite, called, 0.0)).max(axis=0, keepdims=True, initial=0.0)
+    sizes = np.abs(np.where(finite, called, 0.0)).max(axis=0, initial=0.0)
+    sizes = np.maximum(sizes, least)
     neither = ~(finite | np.isfinite(taped))
     return bool(np.all((np.abs(taped - called) <= SAME * sizes) | (taped == called) | neither))
 
@@ -152,4 +164,6 @@ def on_tape(
             kept.tapes.append(tape)
             kept.known = kept.passes + NEW
             lines = kept.lines(thetas, copies, step)
-    return None if lines is None else OnTape(kept, lines, call, u, t, dt, function.shapes)
+    if lines is None:
+        return None
+    return OnTape(kept, lines, call, u, t, dt, function.shapes, function.name == "dynamics")

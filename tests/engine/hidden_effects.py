@@ -94,6 +94,8 @@ CASES = {
     "lag": ("reading", {"lag_reading": 0.6}),
     "delay": ("reading", {"delay_reading": 3.0, "delay_reading_samples": 3.0}),
     "slow-sensor": ("reading", {"slow_sensor_reading": 0.3}),
+    "input-coulomb": ("speed->force", {"input_coulomb_speed__force": 0.4}),
+    "input-drag": ("speed->force", {"input_drag_speed__force": 0.9}),
     "slow-input": ("force", {"slow_input_force": 0.3}),
     "play": ("force", {"play_force": 0.4}),
     "cubic-sensor": ("reading", {"cubic_sensor_reading": 0.2}),

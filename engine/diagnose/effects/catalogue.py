@@ -19,6 +19,7 @@ from engine.diagnose.effects.effect import Effect, worded_for
 from engine.diagnose.effects.first_state import KINDS as FIRST_STATE
 from engine.diagnose.effects.held import KINDS as HELD
 from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
+from engine.diagnose.effects.input_friction import KINDS as INPUT_FRICTION
 from engine.diagnose.effects.inputs import KINDS as INPUT
 from engine.diagnose.effects.kinds import Channels, Kind, Maker
 from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
@@ -52,6 +53,7 @@ SHIPPED: tuple[Kind, ...] = (
     *COLORED,
     *TAILS,
     *INPUT,
+    *INPUT_FRICTION,
     *PATHS,
     *TIME,
     *TIME_STEP,

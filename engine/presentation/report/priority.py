@@ -10,9 +10,9 @@ FIRST_EFFECTS = 12  # effects that are listed; the rest is a click or an option 
 # Kinds by how often they are met: friction, sensors, timing, limits, then noise and what happens once.
 _KINDS = (
     "coulomb", "bias", "drag", "gain", "delay", "input-offset", "input-gain", "cubic", "lag", "input-deadzone",
-    "saturation", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone", "stribeck",
-    "slow-sensor", "slow-input", "overflow", "play", "direct", "path", "extra-input", "parameter-step",
-    "colored", "hysteresis", "boucwen", "cogging", "linear", "start",
+    "saturation", "input-coulomb", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone",
+    "stribeck", "slow-sensor", "slow-input", "overflow", "play", "direct", "path", "extra-input",
+    "parameter-step", "input-drag", "colored", "hysteresis", "boucwen", "cogging", "linear", "start",
 )  # fmt: skip
 
 

@@ -168,6 +168,8 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "start": x,
         "slow-sensor": k,
         "slow-input": k,
+        "input-coulomb": y,
+        "input-drag": y / x**2,
     }
     plain = ("gain", "input-gain", "lag", "delay", "rectification", "saturation-sensor")
     if kind in plain or kind in (

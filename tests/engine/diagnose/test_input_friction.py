@@ -1,0 +1,144 @@
+"""Friction of a cart that carries a load acts on both: where the input acts, and on neither alone."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import engine
+from engine.diagnose import all_effects, extend
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.screening import screen_effects
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.filter_steps import FilterSteps, Thetas
+from engine.filters.sigma_point import run_on_tape
+from engine.simulation.free_run import free_run
+from tests.engine.diagnose.test_kinds_by_integration import run
+
+G = 9.81
+
+
+def cart(M, m, length, force, angle, rate):
+    """The accelerations of a cart and of its load, by their coupled masses."""
+    s, c = np.sin(angle), np.cos(angle)
+    x = (force + m * s * (length * rate**2 + G * c)) / (M + m * s * s)
+    return x, -(x * c + G * s) / length
+
+
+def drift(a, u, t, th):
+    _, angle, w = a.T
+    x, alpha = cart(th.M, 3.0, 0.8, u[0], angle, w)
+    return [x, w, alpha], np.zeros((3, 0))
+
+
+CRANE = engine.continuous(
+    name="trolley-crane",
+    drift=drift,
+    diffusion=lambda a, u, t, th: np.diag([th.q, 1e-10, th.q]),
+    measurement=lambda a, u, t, th: (a[:, :2], np.zeros((2, 0)), np.diag([th.r, 0.01 * th.r])),
+    initial=lambda th: (engine.Gaussian(np.zeros(3), 1e-6 * np.eye(3)), [], np.zeros((0, 0))),
+    nonlinear={"speed": "m/s", "angle": "rad", "rate": "rad/s"},
+    inputs={"motor": "N"},
+    outputs={"tacho": "m/s", "inclinometer": "rad"},
+    reference={"speed": 0.0, "rate": 0.0, "motor": 0.0},
+    parameters=[
+        engine.Parameter("M", 9.0, "kg", (1.0, 100.0)),
+        engine.Parameter("q", 1e-4, "m^2/s^3", (1e-10, 1.0)),
+        engine.Parameter("r", 1e-4, "m^2/s^2", (1e-8, 1.0)),
+    ],
+)
+DT = 0.05
+
+
+def measured(friction=0.0, drag=0.0, T=300, noise=0.01, seed=1):
+    """By scipy, the friction steep but smooth; sensors' noise on the samples."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-25.0, 25.0, T // 15), 15)
+    x, y = np.zeros(3), np.zeros((T, 3))
+
+    def rate(t, x, force):
+        v, angle, w = x
+        rubbed = force - friction * math.tanh(v / 1e-3) - drag * v * abs(v)
+        x, alpha = cart(10.0, 3.0, 0.8, rubbed, angle, w)
+        return [x, w, alpha]
+
+    for t in range(T):
+        y[t] = x
+        x = solve_ivp(rate, (0.0, DT), x, "LSODA", rtol=1e-8, atol=1e-9, args=(u[t],)).y[:, -1]
+    sensed = y[:, :2] + noise * np.array([1.0, 0.1]) * rng.standard_normal((T, 2))
+    return engine.Series(sensed, u, dt=DT), y
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "hidden"),
+    [("input-coulomb:speed->motor", 6.0, "friction"), ("input-drag:speed->motor", 2.0, "drag")],
+)
+def test_it_is_what_the_equations_of_the_masses_say(name, size, hidden):
+    series, states = measured(**{hidden: size})
+    own = {"M": 10.0, f"{name.partition(':')[0].replace('-', '_')}_speed__motor": size}
+    y, _ = run(CRANE, name, own, series.refined(8), {}, setting_for(CRANE, series, CRANE.theta()))
+    without = free_run(CRANE, {"M": 10.0}, series, np.zeros(3), []).y
+    error, effect = (
+        np.abs(one[::k][:300] - states[:, :2]).max() for one, k in ((y, 8), (without, 1))
+    )
+    assert error < 0.03 * effect
+
+
+def test_it_is_asked_where_an_input_moves_several_masses_one_of_them_a_rate():
+    series, _ = measured(T=60)
+    names = [e.name for e in all_effects(setting_for(CRANE, series, CRANE.theta()))]
+    kinds = ("input-coulomb", "input-drag")
+    assert {name for name in names if name.startswith(kinds)} == {
+        f"{kind}:{state}->motor" for kind in kinds for state in ("speed", "rate")
+    }
+    for other in ("oscillator", "servo", "tanks", "mixed-4"):
+        model = engine.get_model(other)
+        y = np.random.default_rng(1).standard_normal((80, model.ny))
+        u = np.ones((80, len(model.inputs)))
+        one = engine.Series(y, u, dt=0.1, y_names=[*model.outputs], u_names=[*model.inputs])
+        names = [e.name for e in all_effects(setting_for(model, one, model.theta()))]
+        assert not any(name.startswith(kinds) for name in names)
+
+
+def test_a_screen_sees_it_and_not_either_mass_alone():
+    series, _ = measured(friction=3.0)
+    base = quasi_ml(CRANE, series)
+    setting = setting_for(CRANE, series, np.asarray(base.theta))
+    kinds = ["input-coulomb", "input-drag", "coulomb", "drag", "input-deadzone"]
+    seen = screen_effects(base, series, setting, kinds, 0.05, 1, lambda *_: None, None)
+    best = sorted(seen.scores, key=lambda score: -score.statistic)
+    assert best[0].effect.name == "input-coulomb:speed->motor"
+    assert best[0].size == pytest.approx(3.0, rel=0.35)
+
+
+@pytest.mark.slow
+def test_a_trolleys_friction_is_named():
+    """Once Stribeck's friction of the trolley alone led, and a second effect of the load was looked for."""
+    series, _ = measured(friction=3.0, T=300)
+    found = engine.diagnose(
+        CRANE,
+        series,
+        effects=[
+            "input-coulomb",
+            "input-drag",
+            "coulomb",
+            "stribeck",
+            "drag",
+            "input-deadzone",
+            "bias",
+        ],
+    )
+    assert [cause.effect for cause in found.causes] == ["input-coulomb:speed->motor"]
+    assert found.causes[0].size == pytest.approx(3.0, abs=4 * found.causes[0].standard_error + 0.1)
+    assert found.causes[0].unit == "N"
+
+
+@pytest.mark.parametrize("k", [1, 2, 4])
+def test_filters_go_through_its_tape_while_friction_holds_the_trolley(k):
+    """What stops it exactly in one order of the sums leaves rounding in another, and the tape was given up."""
+    series = measured(friction=3.0, T=60)[0].refined(k)
+    setting = setting_for(CRANE, series, CRANE.theta())
+    extended = extend(CRANE, ["input-coulomb:speed->motor"], setting)
+    theta = np.array([extended.theta({"M": 10.0, "input_coulomb_speed__motor": 2.5})])
+    assert run_on_tape(FilterSteps(extended, Thetas(extended, theta), series)) is not None
