@@ -142,9 +142,8 @@ def _limits(cause: Cause) -> str:
     def told(value: float) -> str:
         return with_unit(value, cause.units.get(name, ""), 5)
 
-    side = (
-        own["side"][1] if "side" in own else 1.0
-    )  # as :class:`engine.diagnose.effects.clip.Clip` has it
+    # as :class:`engine.diagnose.effects.clip.Clip` has it
+    side = own["side"][1] if "side" in own else 1.0
     if side < -0.5:
         return f", lower limit {told(limit)}"
     if side > 0.5:
