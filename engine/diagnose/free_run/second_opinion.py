@@ -89,6 +89,7 @@ def second_opinion(
     """
     base, named = causes.base, [r.refits[0] for r in causes.search.rounds if r.equivalent]
     patches = any(refit.effect.family == "noise" for refit in named)
+    patches = patches and not causes.search.has_noise_apart
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
     level = alpha if causes.verdict is Verdict.UNKNOWN else SETTLED * alpha
     start, said = base, (causes.verdict, tuple(refit.effect.name for refit in named))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from engine.data.series import Series
 from engine.diagnose.search.refits import Refit, cost
-from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.rounds import MARGIN, Round
 from engine.estimation.quasi_ml import QuasiFit
 
 
@@ -31,6 +31,26 @@ class Search:
     def named(self) -> tuple[Refit, ...]:
         """What leads each round that has named something."""
         return tuple(found.refits[0] for found in self.rounds if found.equivalent)
+
+    @property
+    def has_noise_apart(self) -> bool:
+        """Whether noise and a cause were found, and each gains more beside the other than by itself.
+
+        Two that explain one thing gain less beside each other: what one has explained is no longer there for
+        the other. Two that are both there hide each other, so that each is seen better once the other is known.
+        With G the gain of both, and g_1 and g_2 what each adds to the other, alone they gain G - g_2 and
+        G - g_1. Outliers are left out of what is searched after them, and their gain is another one.
+        """
+        named = self.named
+        sizes = {one.effect.size.name for one in named}
+        noises = sum(one.effect.family == "noise" for one in named)
+        if len(named) != 2 or noises != 1 or any(one.effect.traits.outliers for one in named):
+            return False
+        # a gain tells what an effect adds to the other only where it was refitted beside it
+        if not all(sizes <= {*one.fit.model.parameter_names} for one in named):
+            return False
+        together = 2.0 * (self.final.log_likelihood - self.base.log_likelihood)
+        return sum(one.gain for one in named) > together + MARGIN
 
     def score(self, series: Series) -> float:
         """2 x log-likelihood gained by all effects together, less what their parameters cost."""

@@ -81,16 +81,16 @@ def patchwork(search: Search, alpha: float) -> str:
     """Why the effects found in turn look like patches on one cause that is not in the catalogue, "" if not.
 
     So they do where more than two are needed; where one of two is a property of the noise, which is
-    how the rest of a cause looks that another effect explains in part; or where something is still
-    seen, at ``LEFT * alpha``, after two effects or after noise. Outliers, which hide others, count in
-    the last rule only.
+    how the rest of a cause looks that another effect explains in part, unless each gains more beside the
+    other than by itself; or where something is still seen, at ``LEFT * alpha``, after two effects or after
+    noise. Outliers, which hide others, count in the last rule only.
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
     effects = [effect for effect in found if not effect.traits.outliers]
     noises = [effect.name for effect in effects if effect.family == "noise"]
     if len(effects) > PATCHES:
         return f"more than {PATCHES} effects are needed"
-    if noises and len(effects) > 1:
+    if noises and len(effects) > 1 and not search.has_noise_apart:
         return f"{noises[0]} is a property of the noise, as what another effect leaves of a cause looks"
     if (noises or len(found) > 1) and not search.rounds[-1].equivalent:
         left = search.rounds[-1].screen

@@ -23,23 +23,31 @@ from tests.engine.hidden_effects import DRIVE
 
 DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"
 FORCE = "latent:speed"
-LEVEL, OUTLIERS = "level:reading", "heavy-tails:reading"
+LEVEL, COLORED, OUTLIERS = "level:reading", "colored:reading", "heavy-tails:reading"
 
 
-def searched(*names, left=0.6, alarm=False, unnamed=None):
+def searched(*names, left=0.6, alarm=False, unnamed=None, together=120.0, beside=True):
     """A search that found effects in turn, the last screen's p-value being ``left``.
 
-    Each has a score of 50; the unnamed force has ``unnamed``.
+    Each has a score of 50, and all gain so much ``together``; the unnamed force has ``unnamed``. ``beside``
+    tells whether each was refitted with the others in the model.
     """
+    effects = [make_effect(name, Setting(DRIVE)) for name in names]
+    sizes = [effect.size.name for effect in effects]
     generic = None
     if unnamed is not None:
         generic = Refit(make_effect(FORCE, Setting(DRIVE)), None, unnamed, unnamed)
     rounds = []
-    for name in names:
-        refit = Refit(make_effect(name, Setting(DRIVE)), None, 50.0, 50.0)
+    for effect in effects:
+        model = SimpleNamespace(parameter_names=sizes if beside else [effect.size.name])
+        refit = Refit(effect, SimpleNamespace(model=model), 50.0, 50.0)
         rounds.append(Round(SimpleNamespace(p_value=0.002), (refit,), generic, (refit,)))
     rounds.append(Round(SimpleNamespace(p_value=left, at_floor=False), (), None, ()))
-    return Search(None, None, tuple(rounds), alarm)
+    base, final = (
+        SimpleNamespace(log_likelihood=0.0),
+        SimpleNamespace(log_likelihood=0.5 * together),
+    )
+    return Search(base, final, tuple(rounds), alarm)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +71,23 @@ def test_more_than_two_effects_or_noise_beside_another_are_not_trusted(names, le
     search = searched(*names, left=left)
     assert verdict_of(search, alpha=0.05).value == verdict
     assert bool(patchwork(search, 0.05)) == (verdict == "unknown")
+
+
+@pytest.mark.parametrize(
+    ("names", "found", "verdict"),
+    [
+        ([DRAG, LEVEL], {"together": 90.0}, "named"),  # by themselves they gain 40 each
+        ([LEVEL, DRAG], {"together": 90.0}, "named"),
+        ([DRAG, LEVEL], {"together": 99.0}, "unknown"),  # by chance
+        ([DRAG, LEVEL], {"together": 90.0, "beside": False}, "unknown"),  # nobody knows
+        ([DRAG, LEVEL, STEP], {"together": 90.0}, "unknown"),
+        ([COLORED, LEVEL], {"together": 90.0}, "unknown"),  # is there a cause at all?
+        ([DRAG, LEVEL], {"together": 90.0, "left": 0.008}, "unknown"),
+    ],
+)
+def test_noise_that_is_seen_better_beside_another_effect_is_no_patch(names, found, verdict):
+    """What one effect has explained is not there any more for a patch on the same cause."""
+    assert verdict_of(searched(*names, **found), alpha=0.05).value == verdict
 
 
 def test_why_names_are_not_trusted_is_said():
