@@ -27,13 +27,14 @@ from engine.diagnose.search.refits import Refit, further_parameters
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
-from engine.words import number, probability, with_unit
+from engine.words import enumerated, number, probability, with_unit
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
 PATCHES = 2  # effects in turn that are trusted; more stand for something else
 LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
 SHOWN = 5  # look-alikes listed at most
+NEAREST = 3  # effects listed as what something more may be
 RULED_OUT = 6.0  # of 2 x log-likelihood less costs: 20 times as likely; with less none is ruled out
 
 
@@ -74,7 +75,27 @@ def doubts(search: Search, alpha: float) -> list[str]:
         out.append(
             f"Something more is seen one step ahead beside {names} ({p}), and {why}: no name is trusted."
         )
+    elif named and not search.of_the_steps and not search.rounds[-1].equivalent:
+        out.extend(_perhaps_more(search.rounds[-1].screen, names, alpha))
     return out
+
+
+def _perhaps_more(left: Screen, names: str, alpha: float) -> list[str]:
+    """A sentence on what a last screen sees at ``alpha``, though too little for a further name; or none.
+
+    The more often one looks the less a chance finding may count, so a further effect must be seen more clearly
+    than the first. But who has only the names would take the model with them for whole.
+    """
+    if left.p_value > alpha:
+        return []
+    tested = [s for s in left.scores if not (s.effect.traits.unnamed or s.effect.traits.outliers)]
+    nearest = sorted(tested, key=lambda s: (s.p_value, s.effect.name))[:NEAREST]
+    like = f": it looks most like {enumerated([s.effect.name for s in nearest], 'or')}"
+    p = probability(left.p_value, left.at_floor)
+    return [
+        f"Something more may be there beside {names} ({p}), less clearly seen than a further effect must be"
+        f"{like if nearest else ''}. To ask about it by itself, diagnose the extended model."
+    ]
 
 
 def patchwork(search: Search, alpha: float) -> str:

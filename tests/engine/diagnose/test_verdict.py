@@ -102,6 +102,21 @@ def test_why_names_are_not_trusted_is_said():
     assert f"beside {DRAG} (p = 0.03), and max_effects leaves no room" in said
 
 
+def test_what_is_seen_too_little_for_a_further_name_is_said():
+    """The model with the names is not told as whole where a first screen would raise an alarm at it."""
+    found = searched(DRAG, left=0.01)
+    p_values = {STEP: 1e-4, BIAS: 0.2, FORCE: 1e-5, OUTLIERS: 1e-6}
+    found.rounds[-1].screen.scores = [
+        SimpleNamespace(effect=make_effect(name, Setting(DRIVE)), p_value=p)
+        for name, p in p_values.items()
+    ]
+    (said,) = doubts(found, 0.05)
+    assert said.startswith(f"Something more may be there beside {DRAG} (p = 0.01)")
+    assert f"it looks most like {STEP} or {BIAS}. " in said
+    assert verdict_of(found, 0.05).value == "named"
+    assert doubts(searched(DRAG, left=0.06), 0.05) == []
+
+
 def test_an_alarm_that_nothing_explains_is_unknown():
     assert verdict_of(searched(DRAG, alarm=True), alpha=0.05).value == "unknown"
     assert verdict_of(searched(alarm=True), alpha=0.05).value == "unknown"
