@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from engine.data.series import Series
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.found import Search
+from engine.diagnose.search.found import Search, size_cost
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, Round
 
@@ -57,7 +57,8 @@ def best_beginning(
         ):
             continue
         left = [s.statistic for s in beside(rival).scores if not s.effect.traits.unnamed]
-        promised.append((rival.score + FORESEEN * max(left, default=0.0), rival))
+        further = FORESEEN * max(left, default=0.0) - size_cost(series)
+        promised.append((rival.score - size_cost(series) + max(further, 0.0), rival))
     most, first = max(promised, key=lambda one: one[0], default=(0.0, None))
     score = found.score(series)
     if first is None or most < score:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from engine.data.series import Series
 from engine.diagnose.search.refits import Refit, cost
 from engine.diagnose.search.rounds import MARGIN, Round
@@ -53,6 +55,15 @@ class Search:
         return sum(one.gain for one in named) > together + MARGIN
 
     def score(self, series: Series) -> float:
-        """2 x log-likelihood gained by all effects together, less what their parameters cost."""
-        costs = sum(cost(one.effect, series) for one in self.named)
+        """2 x log-likelihood gained by all effects together, less what all their parameters cost.
+
+        Sizes as well: of two searches one may have found more effects, the last of them for what is wrong with
+        its first.
+        """
+        costs = sum(cost(one.effect, series) + size_cost(series) for one in self.named)
         return 2.0 * (self.final.log_likelihood - self.base.log_likelihood) - costs
+
+
+def size_cost(series: Series) -> float:
+    """What an effect's size must gain where another search does without the effect (Schwarz 1978)."""
+    return float(np.log(series.n_measured))

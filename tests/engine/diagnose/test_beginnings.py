@@ -41,7 +41,11 @@ def beside(rival):
 
 @pytest.fixture(autouse=True)
 def no_costs(monkeypatch):
+    """But those of sizes, for a series of twenty readings: 3."""
     monkeypatch.setattr(import_module("engine.diagnose.search.found"), "cost", lambda *_: 0.0)
+
+
+SERIES = Of(n_measured=np.exp(3.0))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +60,7 @@ def test_the_most_promising_rival_is_tried_as_the_first(gain, better, as_well):
         assert [one.effect.name for one in first.equivalent] == ["step"]
         return a_search(gain, "step", "drag")
 
-    best = best_beginning(found, BEGUN, None, beside, other)
+    best = best_beginning(found, BEGUN, SERIES, beside, other)
     # what is behind even where nothing is doubted need not be doubted
     assert tried == [("step", False), ("step", True)][: 1 if gain == 90.0 else 2]
     assert [one.effect.name for one in best.named] == (
@@ -70,7 +74,7 @@ def test_what_is_ahead_only_where_nothing_is_doubted_is_not_taken():
     best = best_beginning(
         found,
         BEGUN,
-        None,
+        SERIES,
         beside,
         lambda first, simulating: a_search(90.0 if simulating else 120.0, "step"),
     )
@@ -79,10 +83,18 @@ def test_what_is_ahead_only_where_nothing_is_doubted_is_not_taken():
 
 def test_those_that_share_an_effect_are_not_told_and_none_is_tried_in_vain():
     found = a_search(100.0, "pulse", "drag")
-    even = best_beginning(found, BEGUN, None, beside, lambda *_: a_search(99.5, "step", "drag"))
+    even = best_beginning(found, BEGUN, SERIES, beside, lambda *_: a_search(99.5, "step", "drag"))
     assert even is found
     far = a_search(500.0, "pulse", "path")
-    assert best_beginning(far, BEGUN, None, beside, lambda *_: pytest.fail("tried")) is far
+    assert best_beginning(far, BEGUN, SERIES, beside, lambda *_: pytest.fail("tried")) is far
+
+
+@pytest.mark.parametrize(("gain", "better"), [(99.5, True), (96.0, False)])
+def test_fewer_effects_are_ahead_of_more_that_gain_hardly_more(gain, better):
+    """A third that mends what is wrong with the first is not needed where another one begins."""
+    found = a_search(100.0, "pulse", "drag", "hold")
+    best = best_beginning(found, BEGUN, SERIES, beside, lambda *_: a_search(gain, "step", "drag"))
+    assert (best is found) != better
 
 
 def test_one_effect_and_outliers_begin_in_one_way():
@@ -102,7 +114,9 @@ def test_noise_that_leads_alone_is_doubted_by_another_beginning_that_is_no_noise
         tried.append(first.refits[0].effect.name)
         return a_search(150.0, "step", "drag")
 
-    assert [one.effect.name for one in best_beginning(found, begun, None, beside, other).named] == [
+    assert [
+        one.effect.name for one in best_beginning(found, begun, SERIES, beside, other).named
+    ] == [
         "step",
         "drag",
     ]
