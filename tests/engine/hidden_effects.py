@@ -178,6 +178,10 @@ SWING = engine.MixedModel(
 
 
 ON_SWING = {"time-step", "cogging"}  # kinds that need a real time step, or a position
+SEVERAL_MASSES = {
+    "input-coulomb",
+    "input-drag",
+}  # kinds that are asked where an input moves several
 
 # by a sensor a hundred times as precise, through which one sees how its noises go together
 PRECISE = replace(DRIVE, measurement=lambda a, u, t, theta: ([a[:, 0]], [[0.0]], [[1e-5]]))

@@ -24,7 +24,18 @@ from engine.diagnose.search.verdict import set_of
 from engine.diagnose.symptoms.runs import noise_free
 from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.filters.sigma_point import moment_filter, moment_path
-from tests.engine.hidden_effects import CASES, DRIVE, DT, ON_SWING, T, case, hidden, levels, smooth
+from tests.engine.hidden_effects import (
+    CASES,
+    DRIVE,
+    DT,
+    ON_SWING,
+    SEVERAL_MASSES,
+    T,
+    case,
+    hidden,
+    levels,
+    smooth,
+)
 
 BY_NAME_ONLY = {"offset", "held"}  # another word for bias; for parameters that are not estimated
 QUICK = {  # one of each way to enter a model, and what test_diagnose has not; make test-all has all
@@ -58,7 +69,8 @@ def test_at_size_zero_the_extended_model_is_the_model():
     y, _ = noise_free(model, np.asarray(model.theta()), series, x1)
     base = moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
     effects = all_effects(setting)
-    assert {e.kind for e in effects} == set(effect_kinds()) - BY_NAME_ONLY - ON_SWING
+    elsewhere = BY_NAME_ONLY | ON_SWING | SEVERAL_MASSES
+    assert {e.kind for e in effects} == set(effect_kinds()) - elsewhere
     for effect in effects:
         extended = effect.apply(model)
         theta = np.asarray(extended.theta())
@@ -136,7 +148,7 @@ def explains(found):
 
 def sought(quick=()):
     """The kinds that are looked for."""
-    kinds = sorted(set(CASES) - BY_NAME_ONLY - {"latent"})
+    kinds = sorted(set(CASES) - BY_NAME_ONLY - SEVERAL_MASSES - {"latent"})
     return [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in quick)) for kind in kinds]
 
 

@@ -12,7 +12,7 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.filter_steps import FilterSteps, Thetas
-from engine.filters.sigma_point import run_on_tape
+from engine.filters.sigma_point import moment_filter, run_on_tape
 from engine.simulation.free_run import free_run
 from tests.engine.diagnose.test_kinds_by_integration import run
 
@@ -99,6 +99,18 @@ def test_it_is_asked_where_an_input_moves_several_masses_one_of_them_a_rate():
         one = engine.Series(y, u, dt=0.1, y_names=[*model.outputs], u_names=[*model.inputs])
         names = [e.name for e in all_effects(setting_for(model, one, model.theta()))]
         assert not any(name.startswith(kinds) for name in names)
+
+
+@pytest.mark.parametrize("kind", ["input-coulomb", "input-drag"])
+def test_at_size_zero_the_extended_model_is_the_model(kind):
+    series, _ = measured(T=60)
+    setting = setting_for(CRANE, series, CRANE.theta())
+    extended = extend(CRANE, [f"{kind}:speed->motor"], setting)
+    both = [
+        moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
+        for model in (CRANE, extended)
+    ]
+    assert both[1] == pytest.approx(both[0], rel=1e-9)
 
 
 def test_a_screen_sees_it_and_not_either_mass_alone():
