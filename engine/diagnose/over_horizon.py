@@ -40,7 +40,8 @@ class Candidate:
     """Effects added to the model; none: the model as given.
 
     ``errors`` of its predictions at each horizon, as a share of those of the model as given; ``gains``, 2 x
-    log-likelihood over the model as given at each budget. NaN where they cannot be had.
+    log-likelihood over the model as given at each budget. NaN where they cannot be had, as of one that changes
+    the noise of a reading, which no other can share.
     """
 
     effects: tuple[str, ...]
@@ -120,9 +121,11 @@ def over_horizon(
     if not names or any(effect.traits.outliers for effect in first):
         return None
     fits: dict[tuple[str, ...], QuasiFit] = {(): before, names: after}
+    effects_of = {effect.name: effect for effect in first}
     for refit in found.rounds[0].refits[: OTHERS + 1]:
         if len(fits) < OTHERS + 2 and not refit.effect.traits.outliers:
             there = names_in(refit, first)
+            effects_of.setdefault(refit.effect.name, refit.effect)
             if set(there) != set(names):
                 fits.setdefault(there, refit.fit)
     T = len(series.samples)
@@ -151,7 +154,8 @@ def over_horizon(
             own = _errors(fit, paths[effects], series, horizons, scale, begin)
             errors[told_of] = own[told_of] / base[told_of]
             theta[noise] = np.asarray(before.theta)[noise]
-            if shared:
+            own_noise = any(_is_of_readings(effects_of.get(name), before.model) for name in effects)
+            if shared and not own_noise:
                 gains = 2.0 * (_likelihoods(fit, theta, series) - told)
         candidates.append(Candidate(effects, tuple(errors.tolist()), tuple(gains.tolist())))
     return OverHorizon(horizons, BUDGETS, tuple(candidates))
@@ -161,6 +165,13 @@ def names_in(refit: Refit, found: Sequence[Effect]) -> tuple[str, ...]:
     """Effects in a refit's model, its own first: of those ``found`` in several rounds it may hold others."""
     effects = {one.name: one for one in (refit.effect, *found)}.values()
     return tuple(e.name for e in effects if e.size.name in refit.fit.model.parameter_names)
+
+
+def _is_of_readings(effect: Effect | None, model: MixedModel) -> bool:
+    """Whether an effect changes the noise of a reading, whose level alone says little beside it."""
+    if effect is None or effect.family != "noise":
+        return False
+    return effect.channel.partition("->")[0] in model.outputs
 
 
 def _usable_noise(fit: QuasiFit, noise: Array) -> bool:

@@ -14,7 +14,8 @@ GAINS = (
 )
 NO_GAINS = (
     ". A cause keeps its lead over the horizon, a patch on the noise does not. Likelihoods with parts of the "
-    "process noise could not be compared, as where that of the model as given ended at a bound."
+    "process noise could not be compared, as where that of the model as given ended at a bound, or the noise "
+    "of a reading is what changes."
 )
 
 

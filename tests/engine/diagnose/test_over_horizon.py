@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from engine.diagnose.over_horizon import Candidate, OverHorizon, over_horizon
+from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.symptoms.compare import settled_from
 from engine.filters.sigma_point import moment_path
 from engine.presentation import over_horizon as words
 from tests.engine.diagnose import clipped
+from tests.engine.hidden_effects import case
 
 module = importlib.import_module("engine.diagnose.over_horizon")
 pytestmark = pytest.mark.slow
@@ -113,6 +115,21 @@ def test_noise_at_a_bound_is_lent_to_nobody():
     found = over_horizon(stuck, search.final, CAUSE, search, series)
     assert np.isnan(found.candidates[1].gains).all()
     assert np.isfinite(found.candidates[1].errors).all()
+
+
+def test_noise_of_a_reading_is_not_compared_with_that_of_others():
+    """Its level alone was lent to it, and it seemed to lose what it had gained."""
+    model, series, name = case("variance", seed=5)
+    kinds = [name, "variance:speed->force", "drag:speed"]
+    found = find_causes(model, series, effects=kinds, seed=1)
+    named = tuple(one.effect.name for one in found.search.named)
+    assert named == (name,)
+    beside = over_horizon(found.base, found.search.final, named, found.search, series)
+    _, answer, *others = beside.candidates
+    assert np.isnan(answer.gains).all()
+    assert np.isfinite(answer.errors).all()
+    assert all(np.isfinite(other.gains).all() for other in others)
+    assert others
 
 
 def test_where_nothing_was_named_nothing_is_compared():
