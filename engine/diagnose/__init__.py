@@ -299,7 +299,7 @@ def diagnose(  # noqa: PLR0913
         theta=after.theta,
         symptoms=symptoms,
         gain=judged.gain,
-        detectable=detectable_of(found.rounds[0].screen),
+        detectable=detectable_of(found.rounds[0].screen, found.rounds[0].refits),
         search=judged.search,
         notes=tuple(notes),
         seconds=clock.seconds,

@@ -225,8 +225,13 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
     return tuple(out[:SHOWN])
 
 
-def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
-    """The smallest size of each effect that a screen would have shown with 80 % probability."""
+def detectable_of(seen: Screen, refitted: Sequence[Refit] = ()) -> tuple[Detectable, ...]:
+    """The smallest size of each effect that a screen would have shown with 80 % probability.
+
+    Without ``refitted`` ones that no screen shows and that gain by their refit all the same: slopes at size 0
+    say too little of a limit, say, that few readings reach.
+    """
+    shown = {one.effect.name for one in refitted if one.gain > 0.0}
     out = []
     for score in seen.scores:
         if score.effect.traits.unnamed or score.effect.traits.outliers:
@@ -234,6 +239,8 @@ def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
         smallest = (np.sqrt(seen.threshold * score.boldness) + POWER) * score.se
         testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
         testable = testable and smallest <= max(map(abs, score.effect.size.bounds))
+        if not testable and score.effect.name in shown:
+            continue
         out.append(
             Detectable(
                 score.effect.name,

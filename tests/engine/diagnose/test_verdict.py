@@ -137,6 +137,14 @@ def detectable(boldness=1.0, rho=0.5, se=0.3):
     return found
 
 
+def test_what_a_refit_has_shown_is_not_said_to_be_untestable():
+    effect = make_effect(DRAG, Setting(DRIVE))
+    seen = SimpleNamespace(scores=(Score(effect, 0.0, 0.0, np.inf, 1.0, 0.0, ()),), threshold=9.0)
+    assert not detectable_of(seen)[0].testable
+    assert detectable_of(seen, (Refit(effect, None, 51.0, 51.0),)) == ()
+    assert len(detectable_of(seen, (Refit(effect, None, 0.0, -5.0),))) == 1
+
+
 def test_what_is_detectable_is_seen_four_times_in_five():
     """An estimate scatters by its standard error about the size; beyond three of them it is an alarm."""
     se = 0.3
