@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
@@ -19,6 +20,11 @@ LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
 PARTICLES = (500, 2000)  # for the particle filter's word on a gain; the second where it contradicts
 REPEATS = 4
 MARGIN = 3.0  # nats, beyond the particle filter's own error, that two filters may differ by
+BEYOND, FEW, FEW_OF = (
+    1.1,
+    3,
+    0.01,
+)  # of the most a curve reaches; readings, and their share, beyond it
 SHARE = 0.5  # of the moment filter's gain, that the particle filter must at least find
 
 Given: TypeAlias = tuple[MixedModel, ThetaLike]  # a model with its parameters
@@ -75,6 +81,32 @@ def already_there(found: Sequence[Round]) -> dict[str, str]:
                 f"{name} is a term that the model has already: before anything was found, its parameters took "
                 f"up all that it could show. That it shows beside {others} says that {others} acts on a part "
                 "only of what its name says: these names are not the cause."
+            )
+    return out
+
+
+def folded(found: Sequence[Round], series: Series, setting: Setting) -> list[str]:
+    """A sentence for each cubic sensor that readings go beyond, as its curve turns back before it gets there.
+
+    x + c x^3 with c < 0 turns at x = 1 / sqrt(-3 c), where it is two thirds of that. No sensor shows more than
+    its curve has, so readings beyond are noise to such a model, and its runs turn over.
+    """
+    out = []
+    for effect, fit in ((r.refits[0].effect, r.refits[0].fit) for r in found):
+        size = float(fit.theta[effect.size.name]) if effect.kind == "cubic-sensor" else 0.0
+        if not size < 0.0:
+            continue
+        names = fit.model.parameter_names
+        zero = fit.theta[effect.zero] if effect.zero in names else setting.zero(effect.channel)
+        turn = 1.0 / np.sqrt(-3.0 * size)
+        y = series.y[:, list(setting.model.outputs).index(effect.channel)]
+        beyond = int((np.abs(y - zero) > BEYOND * turn * 2.0 / 3.0).sum())
+        if beyond >= max(FEW, np.ceil(FEW_OF * np.isfinite(y).sum())):
+            unit = setting.unit(effect.channel)
+            out.append(
+                f"The curve of {effect.name} turns back {with_unit(float(turn), unit)} from its zero, and "
+                f"{beyond} readings lie beyond all that it reaches: no sensor reads so, the name stands in for "
+                "something else."
             )
     return out
 

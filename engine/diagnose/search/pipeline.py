@@ -19,7 +19,7 @@ from engine.diagnose.screening.noise_parameters import noise_left_to_states
 from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.contradictions import already_there, undetermined
+from engine.diagnose.search.contradictions import already_there, folded, undetermined
 from engine.diagnose.search.event_time import times_as_likely
 from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
@@ -167,6 +167,7 @@ def find_causes(
     against = [
         *undetermined(named),
         *own_terms.values(),
+        *folded(named, series, setting),
         *outliers_at_inputs(named, base, series, seed),
     ]
     if against:

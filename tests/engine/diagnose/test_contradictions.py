@@ -11,7 +11,7 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search import contradictions
 from engine.diagnose.search import pipeline as causes
-from engine.diagnose.search.contradictions import already_there, particle_word, undetermined
+from engine.diagnose.search.contradictions import already_there, folded, particle_word, undetermined
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.verdict import _look_alikes
@@ -219,3 +219,23 @@ def test_a_quiet_particle_filter_is_believed():
     gain, error = contradictions.debiased(values)
     assert gain == pytest.approx(7.0, abs=0.02)
     assert error < 0.15
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_a_sensors_curve_that_turns_back_within_the_readings_is_no_sensors(unit):
+    """Its runs turn over: such a one was named of a street whose air held more than it could have read."""
+    y = np.linspace(-2.0, 2.0, 200) * unit
+    series = engine.Series(y, np.ones(200), dt=0.1, y_names=["reading"], u_names=["force"])
+    setting = Setting(DRIVE, zeros={"reading": 0.0})
+    effect = make_effect("cubic-sensor:reading", setting)
+    extended = effect.apply(DRIVE)
+
+    def said(size):
+        theta = extended.theta({effect.size.name: size / unit**2})
+        fit = SimpleNamespace(theta=theta, model=extended)
+        return folded([SimpleNamespace(refits=[Refit(effect, fit, 50.0, 50.0)])], series, setting)
+
+    (sentence,) = said(-0.3)  # it turns at 1.054, at 0.703 of its reading
+    assert f"{(np.abs(y) > 1.1 * 0.7027 * unit).sum()} readings lie beyond" in sentence
+    assert said(-0.03) == []  # at 3.3, and so at 2.2 of its reading
+    assert said(0.3) == []  # never
