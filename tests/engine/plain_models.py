@@ -165,6 +165,26 @@ def mixer():
     )
 
 
+def oven():
+    """A heated body whose state is linear, of differential equations."""
+    return engine.continuous(
+        name="oven",
+        drift=lambda a, u, t, th: ([th.k * u[0]], [[-1.0 / th.tau]]),
+        diffusion=lambda a, u, t, th: [[th.q]],
+        measurement=lambda a, u, t, th: ([0.0], [[1.0]], [[th.r]]),
+        initial=lambda th: (None, [0.0], [[1e-2]]),
+        linear={"above": "K"},
+        inputs={"heater": "W"},
+        outputs={"reading": "K"},
+        parameters=[
+            engine.Parameter("tau", 20.0, "s", (1.0, 500.0)),
+            engine.Parameter("k", 0.1, "K/s/W", (0.0, 10.0)),
+            engine.Parameter("q", 1e-2, "K^2/s", (1e-8, 10.0)),
+            engine.Parameter("r", 0.01, "K^2", (1e-6, 10.0)),
+        ],
+    )
+
+
 def record(model, n=120, seed=1, dt=0.1):
     """A clean series of one of these, driven by levels that are held for a while."""
     rng = np.random.default_rng(seed)

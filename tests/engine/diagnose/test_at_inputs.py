@@ -12,25 +12,11 @@ from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.rounds import Round
 from engine.distributions import binomial_sf
 from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.plain_models import oven
 
 T = 300
 
-OVEN = engine.continuous(
-    name="oven",
-    drift=lambda a, u, t, th: ([th.k * u[0]], [[-1.0 / th.tau]]),
-    diffusion=lambda a, u, t, th: [[th.q]],
-    measurement=lambda a, u, t, th: ([0.0], [[1.0]], [[th.r]]),
-    initial=lambda th: (None, [0.0], [[1e-2]]),
-    linear={"above": "K"},
-    inputs={"heater": "W"},
-    outputs={"reading": "K"},
-    parameters=[
-        engine.Parameter("tau", 20.0, "s", (1.0, 500.0)),
-        engine.Parameter("k", 0.1, "K/s/W", (0.0, 10.0)),
-        engine.Parameter("q", 1e-2, "K^2/s", (1e-8, 10.0)),
-        engine.Parameter("r", 0.01, "K^2", (1e-6, 10.0)),
-    ],
-)
+OVEN = oven()
 
 
 def asked(u, jumps):
