@@ -15,10 +15,9 @@ from engine.data.series import Series
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.found import Search, size_cost
 from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import MARGIN, Round
+from engine.diagnose.search.rounds import FORESEEN, MARGIN, Round
 
 OTHERS = 3  # rivals that are tried as the first
-FORESEEN = 1.5  # times its statistic, at most, an effect gains when it is refitted
 
 
 def may_begin_otherwise(found: Search) -> bool:

@@ -22,7 +22,7 @@ from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
-from engine.diagnose.search.rounds import Round, settle
+from engine.diagnose.search.rounds import FORESEEN, Round, settle
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
 from engine.statespace.model import Array, MixedModel
@@ -30,7 +30,6 @@ from engine.statespace.model import Array, MixedModel
 STAGE = "looking back"
 RIVALS = 3  # of each round that are refitted again
 NEWCOMERS = 2  # effects that are seen only beside the others
-FORESEEN = 1.5  # times its statistic, at most, an effect gains when it is refitted
 ITERATIONS = 25  # of each of these refits
 BUDGET = 300  # iterations of all of them, three times as many as are usual for two effects
 
@@ -72,7 +71,9 @@ def look_back(
         if screened and after:
             known = {effect.name for effect, _ in rivals} | {*taken}
             led = 2.0 * (final.log_likelihood - without.log_likelihood)
-            seen = here.screen(all_effects(setting), partial(screened, without))
+            # of several searches with this beginning each looks back beside what it found
+            beside = here.further(without.model.name)
+            seen = beside.screen(all_effects(setting), partial(screened, without))
             rivals += _newcomers(seen, known, led, without.theta.asdict())
         again = []  # without outliers: they were no choice, and this filter does not see them
         for j, (effect, own) in enumerate(rivals, 1):

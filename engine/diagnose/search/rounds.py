@@ -13,6 +13,9 @@ from engine.diagnose.search.refits import Refit
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
 UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible
+FORESEEN = (
+    2.0  # times its statistic, at most, an effect gains when it is refitted: noise shrinks with it
+)
 EVEN = 0.05  # of the score: what refits leave undone, so that it may not decide which name leads
 
 

@@ -107,10 +107,11 @@ def search(
     def other(first: Round, simulating: bool) -> Search:
         apart = remembered.apart(f"beginning with {first.refits[0].effect.name}")
         # told for who wants to stop it; the search has come as far as that already
-        stopped = partial(progress, STAGE, 1.0)
-        return look(progress=lambda *_: stopped(), kept=apart, first=first, simulating=simulating)[
-            0
-        ]
+        as_before = partial(progress, STAGE, 1.0)
+        again, _ = look(
+            progress=lambda *_: as_before(), kept=apart, first=first, simulating=simulating
+        )
+        return again
 
     return best_beginning(found, begun, series, beside, other)
 
