@@ -67,9 +67,11 @@ def best_beginning(
         return found
     again = other(led, True)
     lead = again.score(series) - score
+    theirs = {one.effect.name for one in again.named}
+    if names <= theirs and not found.alarm_left:
+        return found  # beside these it has looked for more, and there was too little of it
     if lead > MARGIN:
         return again
-    theirs = {one.effect.name for one in again.named}
     if lead >= -MARGIN and not theirs & names:
         return replace(found, as_well=tuple(sorted(theirs)))
     return found

@@ -1,5 +1,6 @@
 """Of two faults the first that is named may be neither: another beginning is tried, and told where even."""
 
+from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace as Of
 
@@ -79,6 +80,20 @@ def test_what_is_ahead_only_where_nothing_is_doubted_is_not_taken():
         lambda first, simulating: a_search(90.0 if simulating else 120.0, "step"),
     )
     assert best is found
+
+
+def test_what_has_been_looked_for_and_not_seen_is_not_begun_with():
+    """A search that ends without an alarm has asked for a third effect; a beginning with it asks nobody."""
+    found = a_search(100.0, "pulse", "path")
+    more = best_beginning(
+        found, BEGUN, SERIES, beside, lambda *_: a_search(120.0, "step", "pulse", "path")
+    )
+    assert more is found
+    left = replace(found, alarm_left=True)
+    more = best_beginning(
+        left, BEGUN, SERIES, beside, lambda *_: a_search(120.0, "step", "pulse", "path")
+    )
+    assert len(more.named) == 3
 
 
 def test_those_that_share_an_effect_are_not_told_and_none_is_tried_in_vain():

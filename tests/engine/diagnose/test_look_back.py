@@ -88,7 +88,7 @@ def test_refits_start_where_they_are_likely(looked_back):
     assert [one.refits[0].effect.kind for one in rounds] == ["cubic", "force"]
     assert not found.search.unweighed
     assert all(fit.converged for fit in fits)
-    assert sum(fit.iterations for fit in fits) < 5 * len(fits)
+    assert sum(fit.iterations for fit in fits) < 6 * len(fits)  # those of another beginning, too
 
 
 @pytest.mark.slow
