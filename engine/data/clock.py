@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.dates import date_of, in_order, order_of, with_slashes
+from engine.data.dates import about_orders, date_of, in_order, order_of, with_slashes
 from engine.errors import SeriesError
 from engine.units import clock_of, meanings
 
@@ -57,14 +57,6 @@ def _dates_of(texts: Sequence[str]) -> list[datetime | str]:
     if not (order or sure):
         raise SeriesError(f"t: {about_orders(texts[0])}")
     return [date or text for date, text in zip(in_order(texts, order), texts, strict=True)]
-
-
-def about_orders(text: str) -> str:
-    """What to do where dates with slashes may be of either order."""
-    return (
-        f"'{text.strip()}' may have its day or its month first, and nothing tells which: write dates as "
-        "2024-03-01 13:45:00"
-    )
 
 
 def zone_changes(dates: Sequence[Any]) -> int | None:

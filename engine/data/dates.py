@@ -69,6 +69,14 @@ def order_of(cells: Sequence[str]) -> tuple[str, bool]:
     return "", False
 
 
+def about_orders(text: str) -> str:
+    """What to do where dates with slashes may be of either order."""
+    return (
+        f"'{text.strip()}' may have its day or its month first, and nothing tells which: write dates as "
+        "2024-03-01 13:45:00"
+    )
+
+
 def _slashed(cell: str, order: str) -> datetime | None:
     found = SLASHED.fullmatch(cell.strip())
     if found is None:

@@ -10,29 +10,24 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.clock import about_orders, about_zone, elapsed, zone_changes
-from engine.data.dates import DAY_FIRST, MONTH_FIRST, date_of, in_order, order_of, with_slashes
+from engine.data.clock import about_zone, elapsed, zone_changes
+from engine.data.dates import (
+    DAY_FIRST,
+    MONTH_FIRST,
+    about_orders,
+    date_of,
+    in_order,
+    order_of,
+    with_slashes,
+)
 from engine.errors import SeriesError
 from engine.units import named_with_unit
 
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AP]M)?", re.IGNORECASE)
 MISSING = frozenset(
-    (
-        "",
-        "nan",
-        "null",
-        "na",
-        "n/a",
-        "#n/a",
-        "none",
-        "#value!",
-        "#div/0!",
-        "#num!",
-        "#ref!",
-        "missing",
-    )
-)
+    ["", "nan", "null", "na", "n/a", "none", "missing", "#n/a", "#value!", "#div/0!", "#num!", "#ref!"]
+)  # fmt: skip
 NO_READING = re.compile(r"-+|\?+|\.")  # as loggers and statisticians write it
 
 

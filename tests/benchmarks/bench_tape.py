@@ -43,7 +43,13 @@ BY_TAPE = (
 )
 EFFECTS = {
     "mixed-4": ("", "drag:z1", "coulomb:z2->z3", "hysteresis:z1"),
-    "oscillator": ("", "coulomb:velocity", "boucwen:velocity", "delay:drive"),
+    "oscillator": (
+        "",
+        "coulomb:velocity",
+        "boucwen:velocity",
+        "delay:drive",
+        "parameter-step:omega",
+    ),
     "pendulum": ("", "coulomb:rate", "boucwen:rate", "parameter-step:c"),
 }
 

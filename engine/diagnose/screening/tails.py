@@ -38,6 +38,8 @@ STEPS = 20  # uphill from the best of the grid
 PRECISE, ROUGH = 1e-3, 2e-2  # of a log-likelihood: gain of a step from which the next is not taken
 LEAST_KNOWN = 1e-300
 LOST = 1e300  # a value that no step is taken to
+# Standardised errors beyond OUTLYING are outliers, but those AFTER so many samples of a larger one: its echo.
+OUTLYING, AFTER = 3.5, 3
 LEAST = 20  # values without which a kurtosis means nothing
 
 
@@ -47,6 +49,14 @@ def standardised_errors(path: MomentPath, observed: NDArray[np.bool_], pit: Arra
         return np.asarray(ndtri(np.clip(pit, 1e-12, 1.0 - 1e-12)))
     scale = np.sqrt(np.diagonal(path.S, axis1=1, axis2=2))
     return np.where(observed, path.innovations / scale, np.nan)
+
+
+def first_of_each(sizes: Array, rows: NDArray[np.intp], after: int = AFTER) -> list[int]:
+    """Those of the ``rows`` whose error, of ``sizes`` (T,), is larger than any of so many before it.
+
+    A filter that took an outlier for true is off for a while.
+    """
+    return [int(t) for t in rows if sizes[t] > sizes[max(t - after, 0) : t].max(initial=0.0)]
 
 
 def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array) -> Test | None:

@@ -13,7 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.screening.tails import pit_of, standardised_errors
+from engine.diagnose.screening.tails import (
+    OUTLYING,
+    first_of_each,
+    pit_of,
+    standardised_errors,
+)
 from engine.diagnose.search.rounds import Round
 from engine.distributions import binomial_sf
 from engine.estimation.quasi_ml import QuasiFit
@@ -21,8 +26,6 @@ from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array
 from engine.words import percent, probability
 
-LARGE = 3.5  # standardised one-step errors beyond this are outliers
-AFTER = 3  # samples after one, in which a smaller error is its echo in the filter
 SELDOM = 0.2  # share of the samples at which an input may move, or move most, and still be asked
 LEVEL = 1e-3  # of the p-value, by Bonferroni over outputs and inputs
 
@@ -42,7 +45,8 @@ def outliers_at_inputs(
     sizes, u = np.nan_to_num(errors[rows]), series.u[rows]
     tests = sizes.shape[1] * u.shape[1]
     for j in range(sizes.shape[1]):
-        outlying = _first(sizes[:, j])
+        large = sizes[:, j] > OUTLYING
+        outlying = first_of_each(sizes[:, j], np.flatnonzero(large))
         for channel, values in zip(base.model.inputs, u.T, strict=True):
             moved = _moved(values)
             there = int(moved[outlying].sum())
@@ -56,14 +60,6 @@ def outliers_at_inputs(
                 f"{channel} moves."
             ]
     return []
-
-
-def _first(sizes: Array) -> Array:
-    """Rows (k,) of the large ones but those that follow a larger one: the filter was off there."""
-    large = np.flatnonzero(sizes > LARGE)
-    return np.array(
-        [t for t in large if sizes[t] > sizes[max(t - AFTER, 0) : t].max(initial=0.0)], int
-    )
 
 
 def _moved(values: Array) -> Array:

@@ -16,6 +16,7 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
+from engine.diagnose.screening.tails import OUTLYING
 from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
@@ -26,7 +27,7 @@ from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.rounds import settle
-from engine.diagnose.search.search import LATER, OUTLYING, search
+from engine.diagnose.search.search import LATER, search
 from engine.diagnose.search.step_error import decides, steps_for_sizes
 from engine.diagnose.search.verdict import doubts, verdict_of
 from engine.errors import EngineError

@@ -26,7 +26,13 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run_fits.candidates import leading
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress, screen_effects
-from engine.diagnose.screening.tails import pit_of, standardised_errors
+from engine.diagnose.screening.tails import (
+    AFTER,
+    OUTLYING,
+    first_of_each,
+    pit_of,
+    standardised_errors,
+)
 from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
 from engine.diagnose.search.calibration import (
     BOLDEST,
@@ -59,9 +65,7 @@ from engine.statespace.model import MixedModel
 FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what noise has swallowed
 LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
-# Samples after an outlier that are judged again without it, and how often at most.
-AFTER, PASSES = 3, 3
-OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
+PASSES = 3  # of taking outliers out: what follows one is judged again without it
 
 
 def search(
@@ -356,7 +360,7 @@ def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> S
         errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))[:, j]
         sizes = np.abs(np.nan_to_num(errors))
         outlying = np.flatnonzero((sizes > OUTLYING) & suspect)
-        sure = [t for t in outlying if sizes[t] > sizes[max(t - after, 0) : t].max(initial=0.0)]
+        sure = first_of_each(sizes, outlying, after)
         if not sure:
             break
         y, suspect = series.y.copy(), np.isin(np.arange(len(series)), outlying)

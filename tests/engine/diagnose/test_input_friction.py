@@ -15,6 +15,7 @@ from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.sigma_point import moment_filter, run_on_tape
 from engine.simulation.free_run import free_run
 from tests.engine.diagnose.test_kinds_by_integration import run
+from tests.engine.plain_models import Units
 
 G = 9.81
 
@@ -113,15 +114,31 @@ def test_at_size_zero_the_extended_model_is_the_model(kind):
     assert both[1] == pytest.approx(both[0], rel=1e-9)
 
 
-def test_a_screen_sees_it_and_not_either_mass_alone():
-    series, _ = measured(friction=3.0)
-    base = quasi_ml(CRANE, series)
-    setting = setting_for(CRANE, series, np.asarray(base.theta))
+# millimetres a second from another zero, degrees, kilonewtons, milliseconds that began long ago
+SI = Units(CRANE)
+OTHER = Units(
+    CRANE,
+    {
+        "speed": (1e3, 500.0),
+        "tacho": (1e3, 500.0),
+        "angle": (57.3, 0.0),
+        "rate": (57.3, 0.0),
+        "motor": (1e-3, 0.0),
+    },
+    (1e3, 1e6),
+)
+
+
+@pytest.mark.parametrize(("units", "size"), [(SI, 3.0), (OTHER, 3e-3)])
+def test_a_screen_sees_it_and_not_either_mass_alone(units, size):
+    model, series = units.converted(), units.series(measured(friction=3.0)[0])
+    base = quasi_ml(model, series)
+    setting = setting_for(model, series, np.asarray(base.theta))
     kinds = ["input-coulomb", "input-drag", "coulomb", "drag", "input-deadzone"]
     seen = screen_effects(base, series, setting, kinds, 0.05, 1, lambda *_: None, None)
     best = sorted(seen.scores, key=lambda score: -score.statistic)
     assert best[0].effect.name == "input-coulomb:speed->motor"
-    assert best[0].size == pytest.approx(3.0, rel=0.35)
+    assert best[0].size == pytest.approx(size, rel=0.35)
 
 
 @pytest.mark.slow
