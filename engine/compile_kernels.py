@@ -74,6 +74,7 @@ def of_particles() -> None:
         rbps_em(model, series, free=[free], n_particles=4, n_iterations=1, smoother=smoother)
     for resampling in RESAMPLING:
         rbpf(model, None, series, 4, rng, "bootstrap", resampling, 1.0)
+    rbpf(model, None, Series(np.zeros((SHORTEST_ON_TAPE, model.ny))), 4, rng)
     walk, short = _walk(rng)
     prediction_pit(rbpf(walk, None, short, 4, rng), rng)
     rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)

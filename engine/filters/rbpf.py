@@ -16,6 +16,7 @@ from engine.data.series import Series
 from engine.errors import OptionError, check_count
 from engine.filters.lost import lost_in_words
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
+from engine.filters.taped_particles import rows_by_tape
 from engine.kernels import resampling as schemes
 from engine.kernels.curve import along_curve
 from engine.kernels.filtering import advance, predict, weigh
@@ -282,6 +283,11 @@ def rbpf(
                 log_w,
             )
         updated.append(Updated(a, z, Z, w, log_w, log_sum, ess, ancestors))
+        if t == 0:
+            given = draw, resampling, ess_threshold, rng
+            if taped := rows_by_tape(model, theta, series, updated[0], *given):
+                rows, predictions = taped
+                return Filtered(model, theta, series, *rows, *predictions)
         if t == T - 1:
             break
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps
 from engine.kernels.moments import sigma_points
 from engine.kernels.taped import filter_taped
@@ -18,16 +19,16 @@ from engine.statespace.on_tape import SHORTEST, OnTape, on_tape
 
 @dataclass
 class Tapes:
-    """Both functions on tape, for one filter ``run``: what happens at each ``reading``, what at each step."""
+    """Both functions on tape, for a filter of ``series``: what each ``reading`` says, and what a step moves."""
 
-    run: FilterSteps
+    series: Series
     reading: OnTape
     moving: OnTape
 
     @property
     def arguments(self) -> tuple[Any, Any, Any]:
         """The first three of the kernels: both tapes, and the record."""
-        series, moving = self.run.series, self.moving
+        series, moving = self.series, self.moving
         begins = np.zeros(len(series), dtype=np.bool_)
         begins[list(series.begins)] = True
         record = self.reading.u, moving.u, moving.t, moving.dt, begins
@@ -35,7 +36,7 @@ class Tapes:
 
     def hold(self, done: bool, terms: Array) -> bool:
         """Whether they were gone through to the end (``done``), and are there what calls say."""
-        both, series = (self.reading, self.moving), self.run.series
+        both, series = (self.reading, self.moving), self.series
         T = len(series)
         if not done:
             for function in both:
@@ -92,22 +93,30 @@ def filter_by_tape(
 
 def tapes_of(run: FilterSteps, a: Array) -> Tapes | None:
     """What is gone through at states such as a (K S, na); None where calls are needed."""
-    model, series = run.model, run.series
-    times, steps = np.array(run.times), np.array([*run.steps, 0.0])
-    record, thetas = model.record(run.thetas.thetas[0]), run.thetas.thetas
-    found = []
-    for function, call, u in (
-        (model.observations, FilterSteps.observation, series.u),
-        (model.transitions, FilterSteps.transition, series.u_step),
-    ):
-        inputs = np.ascontiguousarray(u, dtype=float)
-        rows = inputs, times, steps
-        one = on_tape(function, partial(call, run), rows, a, thetas, record)
-        if one is None:
-            return None
-        found.append(one)
-    reading, moving = found
+    reading = reading_on_tape(run, a)
+    moving = None if reading is None else moving_on_tape(run, a)
+    if reading is None or moving is None:
+        return None
     first = a.copy()
-    if reading.begins_well(first) and (1 in series.begins or moving.begins_well(first)):
-        return Tapes(run, reading, moving)
+    if reading.begins_well(first) and (1 in run.series.begins or moving.begins_well(first)):
+        return Tapes(run.series, reading, moving)
     return None
+
+
+def reading_on_tape(run: FilterSteps, a: Array) -> OnTape | None:
+    """The measurement at states such as a (K S, na)."""
+    return _on_tape(run, run.model.observations, FilterSteps.observation, run.series.u, a)
+
+
+def moving_on_tape(run: FilterSteps, a: Array) -> OnTape | None:
+    """The dynamics at states such as a (K S, na)."""
+    return _on_tape(run, run.model.transitions, FilterSteps.transition, run.series.u_step, a)
+
+
+def _on_tape(run: FilterSteps, function: Any, call: Any, u: Array, a: Array) -> OnTape | None:
+    inputs = np.array(
+        u, dtype=float
+    )  # of one kind, whoever made them: a kernel is compiled for each
+    rows = inputs, np.array(run.times), np.array([*run.steps, 0.0])
+    record = run.model.record(run.thetas.thetas[0])
+    return on_tape(function, partial(call, run), rows, a, run.thetas.thetas, record)

@@ -99,8 +99,8 @@ class Lines:
     """A tape for rows of given parameters, as :func:`engine.kernels.tape.evaluate` takes it.
 
     The ``codes`` (n, 5), the ``links`` (k, .) of those that take matrices, the work ``space`` (., M), and the
-    three ``results``, flat (1 or M, .), which have all that no state, input or time changes; ``places`` (., 2)
-    are their other entries with the rows of the space.
+    three ``results``, flat (1 or M, .), which have all that no state, input or time changes (one row where the
+    rows do not differ); ``places`` (., 2) are their other entries with the rows of the space.
     """
 
     codes: NDArray[np.int64]
@@ -135,10 +135,11 @@ def lines_of(tape: Tape, thetas: Array, copies: int, dt: float | None) -> Lines 
     if not all(codes):
         return None
     rows, results, places = len(thetas) * copies, list[Array](), list[NDArray[np.int64]]()
+    of_rows = _of_rows(tape, known, rest)
     for output in tape.outputs:
         moving = [(entry, space.slots[i]) for entry, i in output.moving if i not in known]
         fixed = [(entry, known[i]) for entry, i in output.moving if i in known]
-        common = bool(results) and not moving and not any(np.ndim(value) for _, value in fixed)
+        common = bool(results) and of_rows.isdisjoint(i for _, i in output.moving)
         out = np.tile(output.fixed, (1 if common else rows, 1))
         for entry, value in fixed:
             out[:, entry] = np.repeat(value, copies) if np.ndim(value) else value
@@ -183,6 +184,16 @@ def _of_parameters(
             else:
                 rest.append(step)
     return known, _needed(rest, tape)
+
+
+def _of_rows(tape: Tape, known: dict[int, Any], rest: Sequence[Operation | Condition]) -> set[int]:
+    """What differs from row to row: of states, or of parameters that do."""
+    of_theta = (i for i, value in known.items() if isinstance(value, np.ndarray) and value.ndim)
+    varied = {*range(tape.lengths[0]), *of_theta}
+    for step in rest:
+        if isinstance(step, Operation) and not varied.isdisjoint(step.of):
+            varied.add(step.out)
+    return varied
 
 
 def _checked(function: Any) -> bool:

@@ -9,6 +9,7 @@ from engine import Series, get_model, rbps_em, simulate
 from engine.compile_kernels import compiled_kernels, warm
 from engine.simulation.free_run import free_run
 from engine.simulation.whole_record import SHORTEST
+from engine.statespace.on_tape import SHORTEST as SHORTEST_ON_TAPE
 from tests.engine.models_for_tests import (
     awkward_series,
     draw,
@@ -27,8 +28,11 @@ USED = (
     "gaussian.",
     "local_linearization.",
     "resampling.",
+    "taped_particles.",
     "trajectory.",
 )
+
+LONG = SHORTEST_ON_TAPE + 4
 
 
 def used():
@@ -40,18 +44,18 @@ def test_no_model_needs_a_kernel_in_another_form():
     warm()
     before = used()
     problems = [
-        (m, awkward_series(m))
+        (m, awkward_series(m, LONG))
         for m in (linear_mixed(), linear_mixed(0, 2), linear_mixed(2, 0, True), linear_mixed(1))
     ]
     for m in (theta_everywhere(), theta_everywhere(False), partly_noise_free(), random_walk()):
-        y = draw(m, np.zeros((12, 0)), np.arange(12.0), np.random.default_rng(0))
+        y = draw(m, np.zeros((LONG, 0)), np.arange(float(LONG)), np.random.default_rng(0))
         problems.append((m, Series(y)))
     problems.append(
-        (cart, simulate(cart, None, 12, np.random.default_rng(0), u=np.ones(12)).series)
+        (cart, simulate(cart, None, LONG, np.random.default_rng(0), u=np.ones(LONG)).series)
     )
     servo = get_model("servo")
-    u = np.sin(np.arange(12.0))[:, None]
-    problems.append((servo, simulate(servo, None, 12, np.random.default_rng(0), u=u).series))
+    u = np.sin(np.arange(float(LONG)))[:, None]
+    problems.append((servo, simulate(servo, None, LONG, np.random.default_rng(0), u=u).series))
     for model, series in problems:
         for smoother, proposal in (("exact", "adapted"), ("algorithm-3", "bootstrap")):
             for resampling in ("systematic", "residual"):

@@ -1,0 +1,78 @@
+"""The RBPF of a model whose functions are on tape: all time steps after the first reading in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.filters.filter_steps import FilterSteps, Thetas
+from engine.filters.proposals import DEFENSIVE, INFLATION, Proposal, adapted, bootstrap
+from engine.filters.taped import reading_on_tape, tapes_of
+from engine.kernels.taped_particles import SCHEMES, filter_particles_taped
+from engine.statespace.model import Array, MixedModel
+from engine.statespace.on_tape import SHORTEST
+
+
+def rows_by_tape(
+    model: MixedModel,
+    theta: Array,
+    series: Series,
+    first: Sequence[Any],
+    draw: Proposal,
+    resampling: str,
+    ess_threshold: float,
+    rng: np.random.Generator,
+) -> tuple[Sequence[Any], Sequence[Any]] | None:
+    """The fields of all rows (T, ...) and of all predictions (T - 1, ...); None where calls are needed.
+
+    ``first`` are the fields of the first row, as :func:`engine.filters.rbpf.rbpf` has them. Where None is
+    returned ``rng`` is as it was.
+    """
+    T = len(series)
+    own_draw = draw not in (adapted, bootstrap) or (draw is adapted and model.random_scales)
+    if T < SHORTEST or model.na == 0 or own_draw or not isinstance(rng, np.random.Generator):
+        return None
+    a, z, Z, w, log_w, _, ess, _ = first
+    run = FilterSteps(model, Thetas(model, theta), series)
+    tapes = tapes_of(run, a)
+    spread = None if tapes is None else tapes.reading
+    if draw is adapted:
+        spread = reading_on_tape(run, np.tile(a, (1 + 2 * model.na, 1)))
+    if tapes is None or spread is None:
+        return None
+    M, nx, nz = len(a), model.nx, model.nz
+    each = (
+        M
+        if any(len(of) > 1 for of in (Z, *tapes.reading.results[1:], *tapes.moving.results[1:]))
+        else 1
+    )
+    updated = [np.empty((T, *x.shape)) for x in (a, z, np.empty((each, nz, nz)), w, log_w)]
+    updated += [np.empty(T), np.empty(T), np.empty((T, M), dtype=np.int64)]
+    for rows, value in zip(updated, first, strict=True):
+        rows[0] = value
+    shapes = (M, nx), (each, nx, nx), (each, nz, nx), (each, nz, nz)
+    predicted = [np.empty((T - 1, *shape)) for shape in shapes]
+    mean, cov = run.start()
+    options = ess_threshold, SCHEMES.index(resampling), draw is adapted, DEFENSIVE, INFLATION
+    before = rng.bit_generator.state
+    reading, moving, record = tapes.arguments
+    done = filter_particles_taped(
+        reading,
+        spread.arguments,
+        moving,
+        record,
+        (mean[0], cov[0]),
+        np.array(series.y),
+        (a, z, Z, w, log_w, ess),
+        options,
+        rng,
+        tuple(updated),
+        tuple(predicted),
+    )
+    if tapes.hold(done, updated[5]):
+        return updated, predicted
+    rng.bit_generator.state = before
+    return None
