@@ -27,6 +27,7 @@ import numpy as np
 
 import engine.kernels
 from engine.data.series import Series
+from engine.diagnose import diagnose
 from engine.diagnose.screening.tails import prediction_pit
 from engine.estimation.em import rbps_em, rts_em
 from engine.estimation.quasi_ml import quasi_ml
@@ -89,7 +90,9 @@ def of_moments_and_runs() -> None:
     moment_filter(walk, np.asarray(walk.theta())[None], Series(np.zeros(SHORTEST_ON_TAPE)))
     followed(FilterSteps(walk, Thetas(walk, np.asarray(walk.theta())), short))
     level = with_mixture(get_model("local-level"))
-    moment_filter(level, np.asarray(level.theta())[None], short)
+    for rows in (len(short), SHORTEST_ON_TAPE):
+        moment_filter(level, np.asarray(level.theta())[None], Series(np.zeros(rows)))
+    diagnose(get_model("local-level"), Series(rng.standard_normal(40)), effects=["drag"])
     path = moment_path(walk, walk.theta(), short)
     T, nx, ny = len(short), walk.nx, walk.ny
     footprints(path.F, path.H, path.K, np.zeros((T - 1, nx)), np.zeros((T, ny)), np.ones((T, 1)))

@@ -64,7 +64,7 @@ def rows_by_tape(
         spread.arguments,
         moving,
         record,
-        (mean[0], cov[0]),
+        (np.repeat(mean, M, axis=0), cov),
         np.array(series.y),
         (a, z, Z, w, log_w, ess),
         options,

@@ -23,11 +23,11 @@ def filter_particles_taped(
     """All rows of the filter but the first reading; False where calls of the functions are needed.
 
     ``reading``, ``moving`` and ``record`` as :func:`engine.kernels.taped.filter_taped` has them; ``spread`` is
-    ``reading`` for the points that the adapted draw looks at. ``start``: mean and covariance of x_1; ``state``:
-    a, z, Z, w, log w and the effective sample size after y_1; ``options``: the share of particles at which they
-    are resampled, the number of the scheme, whether draws are adapted, their share from the prediction, their
-    inflation. ``updated`` and ``predicted``, the fields of the filter's rows (T, ...) and (T - 1, ...), are
-    filled. Random numbers are drawn from ``rng`` in the order of calls.
+    ``reading`` for the points that the adapted draw looks at. ``start``: means (M, nx) and covariance (1, nx, nx)
+    of x_1. ``state``: a, z, Z, w, log w and the effective sample size after y_1. ``options``: the share of
+    particles at which they are resampled, the number of the scheme, whether draws are adapted, their share from
+    the prediction, their inflation. ``updated`` and ``predicted``, the fields of the filter's rows (T, ...) and
+    (T - 1, ...), are filled. Random numbers are drawn from ``rng`` in the order of calls.
     """
     tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
     u, u_step, t, dt, begins = record
@@ -36,8 +36,7 @@ def filter_particles_taped(
     M, nx, nz = a.shape[0], f.shape[1], z.shape[1]
     own, even, nothing = np.arange(M), np.full(M, -np.log(M)), np.zeros(M)
     noiseless = np.zeros((1, nx, nz))
-    first, Q_1 = np.empty((M, nx)), np.empty((1, nx, nx))
-    first[:], Q_1[:] = start[0], start[1]
+    first, Q_1 = start
     for k in range(1, len(y)):
         # 5. Resampling, and the prediction of each particle from which this step starts
         if begins[k]:
@@ -51,8 +50,10 @@ def filter_particles_taped(
             if any_impossible(Q):
                 return False
             mu, L, V, Z_plus = predict(f, A, Q, z, Z)
-        predicted[0][k - 1], predicted[1][k - 1] = mu, L
-        predicted[2][k - 1], predicted[3][k - 1] = V, Z_plus
+        _keep(predicted[0][k - 1], mu)
+        _keep(predicted[1][k - 1], L)
+        _keep(predicted[2][k - 1], V)
+        _keep(predicted[3][k - 1], Z_plus)
         ancestors = own
         if ess <= threshold * M:
             ancestors, log_w = _resampled(w, rng.random(M), mu, scheme), even
@@ -81,10 +82,23 @@ def filter_particles_taped(
         z, Z, log_w, w, log_sum, ess = advance(
             mu, L, ancestors, a, log_q, blind, h, C, R, y[k], log_w
         )
-        updated[0][k], updated[1][k], updated[2][k] = a, z, Z
-        updated[3][k], updated[4][k] = w, log_w
-        updated[5][k], updated[6][k], updated[7][k] = log_sum, ess, ancestors
+        _keep(updated[0][k], a)
+        _keep(updated[1][k], z)
+        _keep(updated[2][k], Z)
+        _keep(updated[3][k], w)
+        _keep(updated[4][k], log_w)
+        updated[5][k], updated[6][k] = log_sum, ess
+        _keep(updated[7][k], ancestors)
     return True
+
+
+@njit(cache=True, error_model="numpy")
+def _keep(into, found):
+    """What was found for all rows, or one for all; an assignment of slices takes seconds to compile."""
+    to, of = into.ravel(), found.ravel()
+    for start in range(0, to.size, max(of.size, 1)):
+        for i in range(of.size):
+            to[start + i] = of[i]
 
 
 @njit(cache=True, error_model="numpy")
