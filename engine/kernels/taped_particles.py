@@ -23,11 +23,11 @@ def filter_particles_taped(
     """All rows of the filter but the first reading; False where calls of the functions are needed.
 
     ``reading``, ``moving`` and ``record`` as :func:`engine.kernels.taped.filter_taped` has them; ``spread`` is
-    ``reading`` for the points that the adapted draw looks at. ``start``: means (M, nx) and covariance (1, nx, nx)
-    of x_1. ``state``: a, z, Z, w, log w and the effective sample size after y_1. ``options``: the share of
+    ``reading`` for the points that the adapted draw looks at. ``start``: means (M, nx) and covariance of x_1
+    (1, nx, nx). ``state``: a, z, Z, w, log w and the effective sample size after y_1. ``options``: the share of
     particles at which they are resampled, the number of the scheme, whether draws are adapted, their share from
-    the prediction, their inflation. ``updated`` and ``predicted``, the fields of the filter's rows (T, ...) and
-    (T - 1, ...), are filled. Random numbers are drawn from ``rng`` in the order of calls.
+    the prediction, their inflation. ``updated`` and ``predicted`` are filled: the fields of the filter's rows,
+    (T, ...) and (T - 1, ...). Random numbers are drawn from ``rng`` in the order of calls.
     """
     tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
     u, u_step, t, dt, begins = record
