@@ -25,6 +25,7 @@ from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.maximization import check_m_step
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, width
+from engine.estimation.scattered import filters_that_fell
 from engine.estimation.summit import Summit
 from engine.estimation.wandering import (
     kept_best,
@@ -122,6 +123,8 @@ def iterate(
         found = exact.unsaid(found)
     if particles is None:
         return found
+    if exact is None:
+        found = filters_that_fell(found, log.averaged, likelihood.rows, particles.n_particles)
     if ascent is not None:
         found = kept_best(found, particles, loop.seed)
     return looked_back(found, likelihood.of, particles, likelihood.rows, loop.seed)
@@ -200,6 +203,12 @@ class _Log:
         theta = np.asarray(self.theta)
         scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
         return has_settled(trace[:, indices], scale, tolerance)
+
+    @property
+    def averaged(self) -> int:
+        """How many of the last iterations a settled estimate rests on; the first may be far away."""
+        last = self.memory[-1] if self.memory else None
+        return max(0, min(WINDOW if last is None else last.images, self.k - 1))
 
     @property
     def by_em(self) -> bool:

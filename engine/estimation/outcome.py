@@ -9,10 +9,7 @@ class Outcome(Enum):
     """How an estimation ended; ``value`` says it in a sentence, ``success`` whether theta is an estimate."""
 
     CONVERGED = "Converged: the last iterates show no trend beyond their Monte Carlo noise."
-    UNDECIDED = (
-        "Settled, but perhaps short of the maximum: an approximate likelihood rises from here, and the "
-        "particles scatter too much to tell."
-    )
+    UNDECIDED = "Settled, but perhaps short of the maximum: the particles scatter too much to tell."
     ITERATIONS_USED_UP = "Iterations used up before the iterates settled: allow more of them."
     STALLED = (
         "Standing still short of the maximum: with so little noise the steps of EM are too small to be seen, "
