@@ -48,6 +48,7 @@ from engine.estimation.uncertainty.likelihood_result import LikelihoodIntervals
 from engine.estimation.uncertainty.observed import (
     Estimate,
     of_estimate,
+    said_of_failure,
     score_decrement,
     standard_errors,
 )
@@ -141,6 +142,7 @@ def likelihood_intervals(  # noqa: PLR0913
     if not 0.0 < level < 1.0:
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")
     check_seed(seed)
+    failed = said_of_failure(theta if isinstance(theta, Estimate) else None)
     theta, free = of_estimate(theta, free)
     theta = model.theta(theta)
     if errors is None:
@@ -174,7 +176,9 @@ def likelihood_intervals(  # noqa: PLR0913
             continue
         spread[index] = _jackknife(at, slopes, theta[index], fall, outermost)
         spread[index, np.isin(values[index], score.bounds)] = np.nan
-    warning = " ".join(filter(None, (_warning(errors, maximum), _said_of_missing(errors, values))))
+    warning = " ".join(
+        filter(None, (failed, _warning(errors, maximum), _said_of_missing(errors, values)))
+    )
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     return LikelihoodIntervals(model, theta, level, values, spread, maximum, warning)

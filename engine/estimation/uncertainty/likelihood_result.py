@@ -32,8 +32,8 @@ class LikelihoodIntervals(Shown):
     maximum : array (n_theta,)
         Value at which each profile is highest: the estimate, if it is the maximum.
     warning : str
-        What is to be known: that a maximum is more than a standard error away from the estimate; which ends
-        were not found. Else "".
+        What is to be known: that the estimation was lost; that a maximum is more than a standard error away
+        from the estimate; which ends were not found. Else "".
     """
 
     model: MixedModel

@@ -72,6 +72,7 @@ DROWNED = 0.25  # variance of whitened differences from which on they tell nothi
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
 SURELY_DROWNED = 0.5  # the same, where not all of them are made: as much as all would leave
 WELL_KNOWN = 0.25 * TRUSTED**2  # from which on further ones would hardly make it better known
+MAYBE_SHORT = (Outcome.UNDECIDED, Outcome.STALLED, Outcome.WANDERED)
 KNOWN = 0.25  # relative error of an error that is not worth a word
 
 
@@ -109,9 +110,9 @@ def standard_errors(
     """Standard errors at an estimate; observed information by differences of the score.
 
     A free parameter at one of its bounds is held, and so is one next to a bound up to which the likelihood
-    rises by next to nothing. Where theta is no maximum of the likelihood the result is not ``settled``, and a
-    NotSettledWarning is given. Parameters that the data only determine
-    together are ``tied``: their errors are infinite, and ``warning`` names them.
+    rises by next to nothing. Where theta is no maximum of the likelihood, or the end of an estimation that was
+    lost, the result is not ``settled``, and a NotSettledWarning is given. Parameters that the data only
+    determine together are ``tied``: their errors are infinite, and ``warning`` names them.
 
     Parameters
     ----------
@@ -196,8 +197,9 @@ def standard_errors(
             decrement, noise = score_decrement(covariance, scores)
     away = _surely_away(scores[:, kept], np.diag(H))
     decrement = max(decrement, away)
-    settled = decrement <= SETTLED_ERRORS**2 + noise and not away and not drawn
-    warning = "" if settled else _warning(found, decrement, drawn)
+    failed = said_of_failure(found)
+    settled = decrement <= SETTLED_ERRORS**2 + noise and not (away or drawn or failed)
+    warning = failed or ("" if settled else _warning(found, decrement, drawn))
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     mean = scores.mean(axis=0)
@@ -377,8 +379,18 @@ def _warning(found: Estimate | None, decrement: float, drawn: list[str]) -> str:
     return said if found is None else f"{said} The estimation said: {found.message}"
 
 
+def said_of_failure(found: Estimate | None) -> str:
+    """A sentence where an estimation was lost: where the likelihood is flat there, no score tells of it."""
+    outcome = getattr(found, "outcome", None)
+    if found is None or outcome is None or outcome.success:
+        return ""
+    return (
+        f"There is no estimate that these could be errors of. The estimation said: {found.message}"
+    )
+
+
 def _said_of_the_end(found: Estimate | None) -> str:
-    """What an estimation said that ended undecided: of that the scores of a few smoothers may see nothing."""
-    if getattr(found, "outcome", None) is not Outcome.UNDECIDED or found is None:
+    """What an estimation said that may have ended short; scores of a few smoothers may see nothing of it."""
+    if found is None or getattr(found, "outcome", None) not in MAYBE_SHORT:
         return ""
     return f"The estimation itself was not sure that this is a maximum. It said: {found.message}"

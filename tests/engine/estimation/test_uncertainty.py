@@ -536,3 +536,23 @@ def test_scores_that_drown_next_to_a_bound_make_no_error_of_it(seed):
     near = standard_errors(level, at, series, ["q", "r"], **SMALL)
     assert near.names == held.names == ("r",)
     np.testing.assert_allclose(near.values[1], held.values[1], rtol=0.05)
+
+
+@pytest.mark.parametrize("outcome", [Outcome.COLLAPSED, Outcome.DIVERGED, Outcome.WANDERED])
+def test_errors_at_the_end_of_a_lost_estimation_are_said_to_be_none(outcome, best):
+    """A score that is zero there made them "settled", and of a lost run c = 0.002 +- 4.5e-07 was printed."""
+    trace = np.array([[best[0]]])
+    found = EmResult(
+        MODEL, ("theta",), best, trace, *(np.empty(0),) * 4, outcome, outcome.value
+    )  # fmt: skip
+    if outcome.success:
+        errors = engine.standard_errors(MODEL, found, SERIES, exact=True)
+        assert errors.settled
+        assert "The estimation itself was not sure that this is a maximum" in errors.warning
+        return
+    with pytest.warns(NotSettledWarning, match="There is no estimate"):
+        errors = engine.standard_errors(MODEL, found, SERIES, exact=True)
+    assert not errors.settled
+    with pytest.warns(NotSettledWarning, match="There is no estimate"):
+        intervals = engine.likelihood_intervals(MODEL, found, SERIES, errors=errors, exact=True)
+    assert outcome.value in intervals.warning
