@@ -18,9 +18,10 @@ SECOND = "s"
 # As the name of a column tells them: {spelling: unit of time}.
 _CLOCKS = {
     **dict.fromkeys(("ns", "us", "µs", "ms", "min", "h"), ""),
-    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
-    **dict.fromkeys(("minute", "minutes"), "min"),
-    **dict.fromkeys(("hr", "hour", "hours"), "h"),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours"), "h"),
+    "d": "day",
     **{word + end: word for word in ("day", "week", "month", "year") for end in ("", "s")},
 }
 _CLOCK = re.compile(r"(?:(?:t|time)[ _]*/?)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
@@ -115,7 +116,8 @@ def named_with_unit(column: str) -> tuple[str, str]:
 def is_per(unit: str, clock: str) -> bool:
     """Whether a unit of time occurs in a unit."""
     symbols = _read(unit)[1]
-    return clock in symbols or (clock == SECOND and "Hz" in symbols)
+    known = {_CLOCKS.get(one) or one for one in symbols}  # d is day, and S no second
+    return (_CLOCKS.get(clock) or clock) in known or (clock == SECOND and "Hz" in symbols)
 
 
 def rate_of(unit: str) -> str:

@@ -3,7 +3,7 @@
 // The rules are those of service/columns.py, where they are told; a test compares the two. ``columns``
 // are those that can be used, ``counting`` those of them that only count, as years do.
 
-const CLOCK = "ns|us|µs|ms|h|s|sec|seconds?|min|minutes?|hr|hours?|days?|weeks?|months?|years?";
+const CLOCK = "ns|us|µs|ms|h|s|secs?|seconds?|mins?|minutes?|hrs?|hours?|d|days?|weeks?|months?|years?";
 const TIME = new RegExp(`^((t|time)(s|[ _]*([[(]\\s*(${CLOCK})\\s*[\\])]|/\\s*(${CLOCK})))?|time[ _]+(${CLOCK})|t[ _]+([nuµm]?s|sec|seconds?))$`, "i");
 const MAYBE_TEMPERATURE = /^T([sS]|[ _]+[\p{L}\p{N}_]+)?$/u;
 const BY_NAME = [

@@ -21,7 +21,8 @@ pd = pytest.importorskip("pandas")
     ("column", "unit"),
     [
         ("time [min]", "min"), ("t_ms", "ms"), ("t (h)", "h"), ("Time_hours", "h"), ("year", "year"),
-        ("Days", "day"), ("t_s", "s"), ("t", ""), ("time", ""), ("level", ""), ("tank", ""), ("y", ""),
+        ("Days", "day"), ("t_s", "s"), ("time [d]", "day"), ("t (hrs)", "h"), ("t", ""), ("time", ""),
+        ("level", ""), ("tank", ""), ("y", ""),
     ],
 )  # fmt: skip
 def test_the_unit_that_a_column_of_times_tells(column, unit):
@@ -29,7 +30,7 @@ def test_the_unit_that_a_column_of_times_tells(column, unit):
 
 
 @pytest.mark.parametrize(
-    "column", ["time [h]", "t (min)", "time_min", "Time days", "t_ms", "T [s]"]
+    "column", ["time [h]", "t (min)", "time_min", "Time days", "time [d]", "t/d", "t_ms", "T [s]"]
 )
 def test_a_column_of_times_is_found_with_its_unit(column, tmp_path):
     (tmp_path / "a.csv").write_text(f"{column},y\n0,1\n0.5,2\n1,3\n")
@@ -39,7 +40,7 @@ def test_a_column_of_times_is_found_with_its_unit(column, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "column", ["t_min", "t_h", "time_of_flight", "T [K]", "year", "T", "Ts", "T_s", "T sec"]
+    "column", ["t_min", "t_h", "t_d", "time_of_flight", "T [K]", "year", "T", "Ts", "T_s", "T sec"]
 )
 def test_other_columns_are_none_of_times(column, tmp_path):
     (tmp_path / "a.csv").write_text(f"{column},y\n0,1\n0.5,2\n1,3\n")
@@ -372,6 +373,7 @@ def test_channels_called_like_others_of_the_model_are_refused():
     ("unit", "clock", "told"),
     [
         ("1/min", "s", "g in 1/min"), ("degC/(kW min)", "s", "times in min"), ("1/min", "min", ""),
+        ("1/d", "s", "times in d"), ("1/d", "day", ""), ("1/day", "d", ""),
         ("A h", "s", ""), ("1/s", "s", ""), ("1/s", "min", "times in s"), ("1/h", "year", ""),
     ],
 )  # fmt: skip
@@ -398,8 +400,9 @@ def test_rates_in_the_records_unit_of_time_are_enough(units, told):
     parameters = [engine.Parameter(f"g{i}", 1.0, unit) for i, unit in enumerate(units)]
     model = replace(furnace(), parameters=parameters)
     model = replace(model, outputs=dict.fromkeys(model.outputs, "m^3/s"))
-    series = engine.Series(np.arange(9.0), np.ones(9), dt=1.0, time_unit="d")
-    assert bool(about_clock(model, [series])) == told
+    for day in ("d", "day"):
+        series = engine.Series(np.arange(9.0), np.ones(9), dt=1.0, time_unit=day)
+        assert bool(about_clock(model, [series])) == told
 
 
 @pytest.mark.parametrize(
