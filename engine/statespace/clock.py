@@ -23,7 +23,7 @@ def about_clock(model: MixedModel, all_series: Sequence[Series]) -> str:
     counted = SECOND
     if clock == SECOND and found:
         return ""
-    if clock == SECOND:  # a channel may well be counted per minute by equations in seconds
+    if not found:  # a channel may well be counted per minute by equations in seconds
         found = {k: unit for k, unit in parameters.items() if rate_of(unit)}
         counted = next(map(rate_of, found.values()), "")
     if not found:

@@ -374,7 +374,8 @@ def test_channels_called_like_others_of_the_model_are_refused():
     [
         ("1/min", "s", "g in 1/min"), ("degC/(kW min)", "s", "times in min"), ("1/min", "min", ""),
         ("1/d", "s", "times in d"), ("1/d", "day", ""), ("1/day", "d", ""),
-        ("A h", "s", ""), ("1/s", "s", ""), ("1/s", "min", "times in s"), ("1/h", "year", ""),
+        ("A h", "s", ""), ("1/s", "s", ""), ("1/s", "min", "times in s"), ("1/h", "year", "times in h"),
+        ("1/h", "day", "times in h"),
     ],
 )  # fmt: skip
 def test_a_model_that_counts_time_in_another_unit(unit, clock, told):
