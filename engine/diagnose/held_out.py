@@ -17,7 +17,7 @@ from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
-from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short
+from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
 from engine.diagnose.records import Records
@@ -97,7 +97,8 @@ class HeldOut:
                 causes, before, after = named_by(search), search.base, search.final
                 gain = self._gain(search)
             decision = gain.decision if gain is not None and free_run.found else None
-            heeded, verdict = heeding(asked, free_run.verdict, decision)
+            none_better = decision is not None and gain is not None and nothing_better(gain)
+            heeded, verdict = heeding(asked, free_run.verdict, decision, none_better)
             if heeded.decides:
                 return Judged(verdict, causes, before, after, gain, search, heeded)
             return self._by_likelihood(found, verdict, heeded, progress)

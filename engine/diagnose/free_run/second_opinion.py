@@ -145,13 +145,17 @@ def second_opinion(
 
 
 def heeding(
-    asked: SecondOpinion, verdict: Verdict, held_out: Decision | None
+    asked: SecondOpinion,
+    verdict: Verdict,
+    held_out: Decision | None,
+    nothing_better: bool = False,
 ) -> tuple[SecondOpinion, Verdict]:
     """The free run's answer and its verdict, once data are asked that neither criterion has seen.
 
     ``held_out`` is what they say of its extension, None where it has none or there are no such data. Where the
     likelihood sees nothing, a pattern in the free run alone counts only if an extension gains there, or a force
-    without a name does on rows left out; an extension that loses there is no answer.
+    without a name does on rows left out; an extension that loses there is no answer, nor is one of which
+    ``nothing_better`` is seen there, in free run or one step ahead.
     """
     gains = held_out is Decision.ADOPTED or (held_out is None and asked.missing is not None)
     if asked.likelihood is Verdict.NOTHING and not gains:
@@ -161,9 +165,10 @@ def heeding(
             but = "nothing was held out on which an extension for it could gain"
         reason = f"The likelihood decides: the free run has a pattern that noise does not have, but {but}."
         return replace(asked, decides=False, reason=reason), Verdict.NOTHING
-    if held_out is Decision.LOSES:
+    if held_out is Decision.LOSES or nothing_better:
+        but = "loses" if held_out is Decision.LOSES else "does nothing better, and predicts worse,"
         reason = (
-            f"{asked.reason} Its extension loses on data that it has not seen, so it is not named."
+            f"{asked.reason} Its extension {but} on data that it has not seen, so it is not named."
         )
         return replace(asked, reason=reason), Verdict.UNKNOWN
     return asked, verdict

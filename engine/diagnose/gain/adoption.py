@@ -93,6 +93,16 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
     )
 
 
+def nothing_better(gain: Gain) -> bool:
+    """Whether held-out data that could tell show nothing of an extension better, surely or not.
+
+    Neither its predictions, which lose more than a nat, nor any free run.
+    """
+    if gain.adopt or gain.samples < TELLING_ROWS or not gain.log_density < -LOSS_NATS:
+        return False
+    return all(o.difference >= 0.0 for o in gain.outputs)
+
+
 def _predicts_worse(p_loss: float, log_density: float) -> bool:
     """Whether the predictions one step ahead are significantly worse."""
     return p_loss < TEST_LEVEL and log_density < -LOSS_NATS

@@ -10,7 +10,7 @@ from engine import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.second_opinion import SecondOpinion
-from engine.diagnose.gain.adoption import Decision, falls_short
+from engine.diagnose.gain.adoption import Decision, falls_short, nothing_better
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.gain.simulation_gain import OutputGain
 from engine.diagnose.held_out import HeldOut
@@ -46,6 +46,22 @@ def output(after: float, difference: tuple[float, float]) -> OutputGain:
     return OutputGain(
         "y", "m", 1.0, after, (0.9, 1.1), (0.9, 1.1), after - 1.0, difference, 50.0, 40.0, 0.1, None
     )
+
+
+@pytest.mark.parametrize(
+    ("changed", "none"),
+    [
+        ({}, True),
+        ({"outputs": (output(1.01, (-0.2, 0.3)),)}, True),
+        ({"outputs": (output(0.99, (-0.3, 0.2)),)}, False),  # a run is better, though not surely
+        ({"log_density": -0.9}, False),  # as good as no loss
+        ({"decision": Decision.ADOPTED}, False),
+        ({"samples": 10}, False),  # too few to tell
+        ({"log_density": np.nan}, False),
+    ],
+)
+def test_nothing_is_better_where_predictions_lose_and_no_run_gains(changed, none):
+    assert nothing_better(replace(LOSS, **changed)) is none
 
 
 def test_worse_one_step_ahead_and_in_the_free_run_contradicts_whatever_was_promised():

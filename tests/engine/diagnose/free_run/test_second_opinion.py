@@ -144,6 +144,14 @@ def test_what_loses_on_data_not_seen_is_not_named(likelihood, held_out, missing,
     assert (said.reason == asked.reason) == (answer is Verdict.NAMED)
 
 
+def test_what_does_nothing_better_on_data_not_seen_is_not_named():
+    """A pendulum's chirp was cogging beside a slow sensor, as seen in free run alone, until asked elsewhere."""
+    asked = SecondOpinion(Verdict.UNKNOWN, (), True, "The free run decides.")
+    said, answer = heeding(asked, Verdict.NAMED, Decision.NO_EVIDENCE, nothing_better=True)
+    assert (said.decides, answer) == (True, Verdict.UNKNOWN)
+    assert "does nothing better, and predicts worse" in said.reason
+
+
 @pytest.mark.parametrize(
     ("free_run", "decides"), [(["path:u->x", "cubic-sensor:y"], False), (["path:u->x"], True)]
 )
