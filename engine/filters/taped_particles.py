@@ -33,7 +33,7 @@ def rows_by_tape(
     """
     T = len(series)
     own_draw = draw not in (adapted, bootstrap) or (draw is adapted and model.random_scales)
-    if T < SHORTEST or model.na == 0 or own_draw or not isinstance(rng, np.random.Generator):
+    if T < SHORTEST or model.na == 0 or own_draw:
         return None
     a, z, Z, w, log_w, _, ess, _ = first
     run = FilterSteps(model, Thetas(model, theta), series)
@@ -44,11 +44,8 @@ def rows_by_tape(
     if tapes is None or spread is None:
         return None
     M, nx, nz = len(a), model.nx, model.nz
-    each = (
-        M
-        if any(len(of) > 1 for of in (Z, *tapes.reading.results[1:], *tapes.moving.results[1:]))
-        else 1
-    )
+    matrices = Z, *tapes.reading.results[1:], *tapes.moving.results[1:]
+    each = max(map(len, matrices))  # 1 where all are common to all particles
     updated = [np.empty((T, *x.shape)) for x in (a, z, np.empty((each, nz, nz)), w, log_w)]
     updated += [np.empty(T), np.empty(T), np.empty((T, M), dtype=np.int64)]
     for rows, value in zip(updated, first, strict=True):
