@@ -70,6 +70,7 @@ def diagnose(
         max_effects=options.max_effects,
         held_out=options.held_out,
         free=job.free,
+        processes=1,  # the other cores have other jobs
         callback=Percent(progress.step),
         kept=kept,
         early=lambda document: progress.estimated(so_far(document)),

@@ -56,8 +56,9 @@ from engine.diagnose.search.verdict import at_most_in_words, detectable_of, name
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
+from engine.forked import in_processes
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
@@ -102,6 +103,7 @@ def diagnose(  # noqa: PLR0913
     kept: Parts | None = None,
     early: Told | None = None,
     held_out: float = HELD_OUT,
+    processes: int | None = None,
 ) -> Diagnosis:
     """Find what a model gets wrong on measured data, and which effect that it leaves out explains it.
 
@@ -154,6 +156,10 @@ def diagnose(  # noqa: PLR0913
         record, or that share of many records, one of five, if they hold as many rows. Where ``test`` is given
         it decides, and this is to be left out. With 0 all is searched: effects of time are judged on blocks
         left out of the fit in turn, and what others gain is not measured.
+    processes : int, optional
+        Among how many processes screens and refits are shared; the answer does not depend on it. By default
+        one for each core, but one alone where Windows, or threads of the caller as in a notebook, make copies
+        of a process impossible or unsafe.
 
     Returns
     -------
@@ -172,6 +178,8 @@ def diagnose(  # noqa: PLR0913
     """
     _check_options(alpha, max_effects, effects)
     check_seed(seed)
+    if processes is not None:
+        check_count("processes", processes)
     if bootstrap < 0:
         raise OptionError(f"bootstrap = {bootstrap}; 0 or more is needed", "bootstrap")
     as_given = model
@@ -209,7 +217,8 @@ def diagnose(  # noqa: PLR0913
 
     fine = prepare(model, records, fitted, part)
     asked = Options(free, alpha, max_effects, effects, seed)
-    both = ask_both(model, records, fine, theta, asked, clock, done)
+    with in_processes(processes):
+        both = ask_both(model, records, fine, theta, asked, clock, done)
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
     notes.extend(both.notes)
     hidden = shadowed(causes.setting, effects)

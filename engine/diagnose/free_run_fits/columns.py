@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.free_run_fits.fitted import Fitted, extended_run, first_states, state_names
 from engine.errors import EngineError
+from engine.forked import each
 from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import states_of
 from engine.statespace.model import Array, MixedModel, Theta
@@ -40,18 +43,24 @@ def columns(fit: Fitted, effects: Iterable[Effect]) -> list[Column]:
         if not np.isfinite(run).all():
             return []
         base.append(Along(fit.model, theta, one, run))
-    out = []
-    for effect in effects:
+
+    def found(effect: Effect) -> list[tuple[tuple[float, ...], Array]]:
         try:
-            out.extend(_of(fit, base, effect))
+            return _of(fit, base, effect)
         except CANNOT:
-            continue
+            return []
+
+    every, out = list(effects), list[Column]()
+    with closing(each([partial(found, effect) for effect in every])) as slopes:
+        for effect, own in zip(every, slopes, strict=True):
+            out += [Column(effect, *one) for one in own]
     return out
 
 
-def _of(fit: Fitted, base: list[Along], effect: Effect) -> list[Column]:
+def _of(fit: Fitted, base: list[Along], effect: Effect) -> list[tuple[tuple[float, ...], Array]]:
+    """The derivatives at each probe of the effect."""
     model = effect.apply(fit.model)
-    size, out = len(fit.theta), list[Column]()
+    size, out = len(fit.theta), list[tuple[tuple[float, ...], Array]]()
     along: list[Along] | None = None
     for probe in effect.probes:
         values = np.array([*fit.theta, *(p.default for p in effect.parameters)])
@@ -60,7 +69,7 @@ def _of(fit: Fitted, base: list[Along], effect: Effect) -> list[Column]:
         along = _along(fit, base, model, theta, along)
         g = None if along is None else _slope(fit, model, along)
         if g is not None:
-            out.append(Column(effect, probe, g))
+            out.append((probe, g))
     return out
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import closing
+from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from engine.distributions import chi2_sf
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_path
+from engine.forked import each
 from engine.words import meant
 
 # P-value from which outliers are judged by their likelihood, whatever their rank.
@@ -56,23 +59,26 @@ def screen_effects(
     if outliers is not None:
         left = outliers.channel
         effects = [e for e in effects if not e.traits.outliers and not _noise_of(e, left)]
-    tests: list[Test] = []
-    for i, effect in enumerate(effects):
-        progress("screen", i / len(effects))
+
+    def tested(effect: Effect) -> Test | None:
         try:
             if effect.traits.outliers:
                 test = None if errors is None else tail_test(effect, model, path, errors)
-                if test is not None:
-                    test = _confirmed(test, fit, series)
-            elif is_timed(effect):
-                test = family_test(effect, model, theta, series, path, projection)
-            else:
-                columns = effect_columns(effect, model, theta, series, path)
-                test = make_test(effect, [columns], projection)
+                return None if test is None else _confirmed(test, fit, series)
+            if is_timed(effect):
+                return family_test(effect, model, theta, series, path, projection)
+            columns = effect_columns(effect, model, theta, series, path)
+            return make_test(effect, [columns], projection)
         except (EngineError, np.linalg.LinAlgError):
-            test = None  # an extension whose filter is lost explains nothing
-        if test is not None:
-            tests.append(test)
+            return None  # an extension whose filter is lost explains nothing
+
+    tests: list[Test] = []
+    progress("screen", 0.0)
+    with closing(each([partial(_numbers_of, tested, effect) for effect in effects])) as found:
+        for i, (effect, numbers) in enumerate(zip(effects, found, strict=True), 1):
+            progress("screen", i / len(effects))
+            if numbers:
+                tests.append(Test(effect, *numbers))
     if not tests:
         raise OptionError(
             f"none of the effects asked for can be tested on model '{model.name}' and these data"
@@ -80,6 +86,12 @@ def screen_effects(
             "effects",
         )
     return screen(tests, np.random.default_rng(np.random.SeedSequence(seed)), alpha)
+
+
+def _numbers_of(tested: Callable[[Effect], Test | None], effect: Effect) -> tuple[Any, ...]:
+    """A test without its effect, which has functions; empty where there is none."""
+    test = tested(effect)
+    return () if test is None else tuple(getattr(test, of.name) for of in fields(test)[1:])
 
 
 def _noise_of(effect: Effect, channel: str) -> bool:

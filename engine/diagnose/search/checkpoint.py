@@ -11,8 +11,9 @@ import base64
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Generator, Mapping, MutableMapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
+from functools import partial
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -27,6 +28,7 @@ from engine.diagnose.search.refits import Refit
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_filter
+from engine.forked import Copies
 from engine.statespace.model import Array, MixedModel, Theta
 
 Part = TypeVar("Part")
@@ -78,7 +80,29 @@ class Kept:
             own = effect.with_free_zero() if effect.zero in kept["free"] else effect
             return Refit(own, _fit(kept, effect.apply(model)), kept["gain"], kept["score"])
 
-        return self._part(f"refit {effect.name}", compute, _of_refit, made)
+        return self._part(_refit_of(effect), compute, _of_refit, made)
+
+    def refits(
+        self, model: MixedModel, tasks: Sequence[tuple[Effect, Callable[[], Refit]]]
+    ) -> Generator[Callable[[], Refit], None, None]:
+        """Refits of effects of ``model`` that do not depend on each other, each to be asked for in its turn.
+
+        Those that were not kept are shared with copies of this process. To be closed.
+        """
+        new = (
+            [] if self.parts is None else [i for i in range(len(tasks)) if not self._has(tasks[i])]
+        )
+        with Copies([partial(_timed, tasks[i][1], _of_refit) for i in new]) as copies:
+            for i, (effect, compute) in enumerate(tasks):
+                found = copies.take(new.index(i)) if i in new else None
+                if self.parts is not None and found is not None:
+                    name = self.where + _refit_of(effect)
+                    self.ours.add(name)
+                    self.parts[name] = found
+                yield partial(self.refit, model, effect, compute)
+
+    def _has(self, task: tuple[Effect, Any]) -> bool:
+        return self.parts is not None and self.where + _refit_of(task[0]) in self.parts
 
     def screen(self, effects: Sequence[Effect], compute: Callable[[], Screen]) -> Screen:
         """A screen of some or all of ``effects``."""
@@ -178,6 +202,17 @@ def _identity(model: MixedModel, series: Series) -> list[Any]:
 def _data(series: Series) -> list[Any]:
     names = [series.y_names, series.u_names, series.extra_names, series.hold]
     return [names, [_of_array(np.asarray(a)) for a in (series.t, series.y, series.u)]]
+
+
+def _refit_of(effect: Effect) -> str:
+    return f"refit {effect.name}"
+
+
+def _timed(compute: Callable[[], Part], numbers_of: Callable[[Part], Any]) -> dict[str, Any]:
+    """What is kept of a part that is computed now."""
+    since = time.perf_counter()
+    found = compute()
+    return {"seconds": time.perf_counter() - since, "numbers": numbers_of(found)}
 
 
 def _of_fit(fit: QuasiFit) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +33,7 @@ from engine.diagnose.search.rounds import Round, settle
 from engine.distributions import chi2_isf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
-from engine.statespace.model import Array
+from engine.statespace.model import Array, MixedModel
 
 REFITS = 12  # effects refitted in a round
 # Where a statistic is above the number of readings: so large an effect bends all scores.
@@ -59,15 +61,16 @@ def refit_swallowed(
     Where process noise has grown to explain a step, the score of the step is small, but refitting
     both gives the noise back. A refit is left half-way where it will not be an alarm.
     """
-    refits = []
     way = cache(partial(way_of, fit, series))
     families = _swallowed(seen)[:SWALLOWED_REFITS]
-    for i, score in enumerate(families):
-        progress("refit swallowed", i / len(families))
-        least = _alarming(score, len(families), series)
-        once = partial(refit, fit, series, score, least, way=way)
-        refits.append(_made(partial(kept.refit, fit.model, score.effect, once)))
-    return [found for found in refits if found is not None]
+    least = [_alarming(score, len(families), series) for score in families]
+    tasks = [
+        (score.effect, partial(refit, fit, series, score, at_least, way=way))
+        for score, at_least in zip(families, least, strict=True)
+    ]
+    return _all_made(
+        kept, fit.model, tasks, lambda i: progress("refit swallowed", i / len(families))
+    )
 
 
 def _alarming(score: Score, families: int, series: Series) -> float:
@@ -115,14 +118,18 @@ def refit_best(
     asked = asked or {}
     way = cache(partial(way_of, fit, series))
     left = [s for s in _worth_refitting(seen, series, asked) if s.effect.name not in names]
-    for i, score in enumerate(left):
-        progress("refit", REFITTED_ONCE * i / len(left))
+    # the first leads as a rule, and the others need not wait for each other
+    for done_before, some in enumerate((left[:1], left[1:])):
+
+        def told(i: int, before: int = done_before) -> None:
+            progress("refit", REFITTED_ONCE * (before + i) / len(left))
+
         leading = max((r.score for r in refits), default=-np.inf)
-        further = asked.get(score.effect.name)
-        once = partial(refit, fit, series, score, leading, further, way)
-        found = _made(partial(kept.refit, fit.model, score.effect, once))
-        if found is not None:
-            refits.append(found)
+        tasks = [
+            (s.effect, partial(refit, fit, series, s, leading, asked.get(s.effect.name), way))
+            for s in some
+        ]
+        refits += _all_made(kept, fit.model, tasks, told)
     refits = without_echoes(followed(refits, series, fit, progress, kept), series)
     refits = _beside_look_alikes(refits, fit, series, seen, way, progress, kept)
     if bent(refits, series):
@@ -165,10 +172,11 @@ def _beside_look_alikes(
         if not alike:
             return refits
         asked |= {score.effect.name for score in alike}
-        for score in alike:
-            once = partial(_from_the_leading, leading, fit, series, score, way)
-            found = _made(partial(kept.further("beside").refit, fit.model, score.effect, once))
-            refits += [] if found is None else [found]
+        tasks = [
+            (score.effect, partial(_from_the_leading, leading, fit, series, score, way))
+            for score in alike
+        ]
+        refits += _all_made(kept.further("beside"), fit.model, tasks)
         refits = followed(_best_of_each(refits), series, fit, progress, kept)
 
 
@@ -299,6 +307,21 @@ def _with_ties(values: Sequence[float], n: int) -> int:
         return len(values)
     least = values[n - 1] - TIED * abs(values[n - 1])
     return sum(value >= least for value in values)
+
+
+def _all_made(
+    kept: Kept,
+    model: MixedModel,
+    tasks: Sequence[tuple[Effect, Callable[[], Refit]]],
+    told: Callable[[int], Any] = lambda i: None,
+) -> list[Refit]:
+    """Refits that do not depend on each other; ``told`` the number of each that is begun."""
+    made = []
+    with closing(kept.refits(model, tasks)) as refits:
+        for i, refitted in enumerate(refits):
+            told(i)
+            made.append(_made(refitted))
+    return [found for found in made if found is not None]
 
 
 def _made(compute: Callable[[], Refit]) -> Refit | None:
