@@ -29,6 +29,7 @@ from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.pipeline import ENOUGH, NAMES, Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.distributions import chi2_sf
@@ -37,6 +38,7 @@ from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.words import enumerated, moment
 
+NOT_YET = SecondOpinion(Verdict.UNKNOWN, (), False, "The free run is asked with shorter steps.")
 UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
 
 
@@ -69,6 +71,8 @@ class TwoAnswers:
     @property
     def coarse(self) -> bool:
         """Whether shorter steps may say something else."""
+        if self.causes.search.by_the_steps:
+            return self.fine.finer
         by_likelihood = not (self.asked.decides and self.of_free_run) and self.fine.k < ENOUGH
         for_likelihood = by_likelihood and (self.causes.coarse or self.causes.steps > self.fine.k)
         return self.fine.finer and (for_likelihood or self._coarse_for_free_run)
@@ -125,7 +129,11 @@ def _with_these_steps(
     if thinned_by(searched, train):
         setting = setting_for(model, searched, np.asarray(model.theta(start)))
         options = replace(options, effects=of_any_step(options.effects, setting, options.free))
-    causes = find_causes(model, searched, start, **asdict(options), clock=clock, kept=kept)
+    causes = find_causes(
+        model, searched, start, **asdict(options), clock=clock, kept=kept, finer=fine.finer
+    )
+    if causes.search.by_the_steps:
+        return TwoAnswers(fine, causes, NOT_YET, searched, tuple(notes))
     silent = np.diag(causes.base.information) == 0.0
     if searched is not train and not searched.begins and silent.any():
         untold = [name for name, none in zip(causes.base.free, silent, strict=True) if none]

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from engine.data.series import Series
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.found import Search, size_cost
@@ -68,13 +70,24 @@ def best_beginning(
     again = other(led, True)
     lead = again.score(series) - score
     theirs = {one.effect.name for one in again.named}
-    if names <= theirs and not found.alarm_left:
-        return found  # beside these it has looked for more, and there was too little of it
+    if not found.alarm_left:
+        if names <= theirs:
+            return found  # beside these it has looked for more, and there was too little of it
+        more = max(len(again.named) - len(found.named), 0)
+        lead -= more * _choice_cost(begun)
     if lead > MARGIN:
         return again
     if lead >= -MARGIN and not theirs & names:
         return replace(found, as_well=tuple(sorted(theirs)))
     return found
+
+
+def _choice_cost(begun: Round) -> float:
+    """What an effect must gain as the best of all that were screened, where nothing more was asked for.
+
+    The larger of n values of chi-squared with one degree of freedom are near 2 log n (Chen, Chen 2008).
+    """
+    return 2.0 * float(np.log(max(len(begun.screen.scores), 1)))
 
 
 def _led_by(found: Round, first: Refit) -> Round:

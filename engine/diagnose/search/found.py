@@ -18,7 +18,8 @@ class Search:
 
     ``of_the_steps`` is what a last round would have found, where shorter steps explain it; ``unweighed`` are
     choices that were not weighed beside the effects found after them. ``as_well`` are effects that together
-    explain as much as those found in turn, and are others.
+    explain as much as those found in turn, and are others. ``by_the_steps`` decide the first round, so that
+    it ended there, to be begun with shorter ones.
     """
 
     base: QuasiFit
@@ -28,6 +29,7 @@ class Search:
     of_the_steps: str = ""
     unweighed: tuple[str, ...] = ()
     as_well: tuple[str, ...] = ()
+    by_the_steps: bool = False
 
     @property
     def named(self) -> tuple[Refit, ...]:

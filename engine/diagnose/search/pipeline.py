@@ -46,8 +46,9 @@ MISFIT = 2.0  # mean squared standardised innovation from which no name can be t
 # For progress: of the fits of a continuous model, the first; of a fit, the search for its start.
 FIRST_FIT_SHARE, START_SHARE = 0.5, 0.6
 
-# Steps a sample, with which names that they decide between are left as a set, and sizes as they are.
-ENOUGH = 4
+# Steps a sample, with which names that they decide between are left as a set, and sizes as they are; but not
+# those of a first round, where no search has to be made anew for it.
+ENOUGH, AT_FIRST = 4, 8
 
 NAMES = (Verdict.NAMED, Verdict.SET)
 
@@ -75,7 +76,7 @@ class Causes:
     refuted: tuple[str, ...] = ()
 
 
-def find_causes(
+def find_causes(  # noqa: PLR0913
     model: MixedModel,
     series: Series,
     theta: ThetaLike = None,
@@ -87,8 +88,12 @@ def find_causes(
     seed: int = 0,
     clock: Clock | None = None,
     kept: Kept = NOTHING,
+    finer: bool = False,
 ) -> Causes:
-    """Name what ``series`` shows beyond ``model``; arguments as in :func:`engine.diagnose.diagnose`."""
+    """Name what ``series`` shows beyond ``model``; arguments as in :func:`engine.diagnose.diagnose`.
+
+    Where it may be made ``finer``, and the error of its steps may decide the first round, nothing is named yet.
+    """
     clock = clock or Clock()
     notes = []
     clock.start("fit")
@@ -117,7 +122,10 @@ def find_causes(
         seed=seed,
         progress=clock.progress,
     )
-    found = look(series, base, setting, alpha=alpha, kept=kept)
+    found = look(series, base, setting, alpha=alpha, kept=kept, enough=AT_FIRST if finer else 0)
+    if found.by_the_steps:
+        clock.stop()
+        return Causes(base, setting, found, Verdict.UNKNOWN, tuple(notes), coarse=True)
     aside = _seen_by_a_controller(found, series, setting, effects)
     if aside is not None:
         notes.append(aside.note)

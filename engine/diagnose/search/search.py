@@ -56,7 +56,7 @@ from engine.diagnose.search.refitting import (
     swallowed_p,
 )
 from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.step_error import by_shorter_steps, ranked_anew
+from engine.diagnose.search.step_error import by_shorter_steps, decided_by_steps, ranked_anew
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.filters.sigma_point import moment_path
@@ -68,7 +68,7 @@ LOOKED_BACK = 0.9  # of looking back: all but the last fit
 PASSES = 3  # of taking outliers out: what follows one is judged again without it
 
 
-def search(
+def search(  # noqa: PLR0913
     model: MixedModel,
     series: Series,
     base: QuasiFit,
@@ -80,10 +80,12 @@ def search(
     seed: int,
     progress: Progress,
     kept: Kept = NOTHING,
+    enough: int = 0,
 ) -> Search:
     """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already.
 
     What came first decides what is found beside it. So where several are found, another beginning is tried.
+    And with fewer than ``enough`` steps a sample the search ends where shorter ones may decide what came first.
     """
     look = partial(
         _one_after_the_other,
@@ -96,7 +98,7 @@ def search(
         kinds=kinds,
         seed=seed,
     )
-    found, begun = look(progress=progress, kept=kept)
+    found, begun = look(progress=progress, kept=kept, enough=enough)
     if begun is None or not may_begin_otherwise(found):
         return found
 
@@ -134,6 +136,7 @@ def _one_after_the_other(  # noqa: PLR0913
     kept: Kept,
     first: Round | None = None,
     simulating: bool = True,
+    enough: int = 0,
 ) -> tuple[Search, Round | None]:
     """The search and its first round as it was found, or that ``first`` with which it is to begin.
 
@@ -203,6 +206,9 @@ def _one_after_the_other(  # noqa: PLR0913
         rounds.append(found)
         if not found.equivalent:
             break
+        if k == 0 and decided_by_steps(found, series, setting, here, enough):
+            ended = Search(base, found.refits[0].fit, tuple(rounds), alarm, by_the_steps=True)
+            return ended, None
         if not found.refits[0].effect.traits.outliers:
             best = found.refits[0].fit
             told = _iterations(progress, "refit", FOLLOWED)

@@ -152,6 +152,20 @@ def decides(
     return max(come_near(behind), default=0.0)
 
 
+def decided_by_steps(
+    found: Round, series: Series, setting: Setting, kept: Kept, enough: int
+) -> bool:
+    """Whether the error of the steps may decide this first round, of fewer than ``enough`` steps a sample."""
+    best = found.refits[0]
+    if series.substeps >= enough or best.effect.traits.outliers:
+        return False
+    own = kept.apart("the first by half steps")
+    try:
+        return decides(found, [best.effect.name], best.fit, series, setting, own, enough) > 0.0
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+
+
 def steps_for_sizes(
     names: Sequence[str], fit: QuasiFit, series: Series, setting: Setting, most: int, kept: Kept
 ) -> int:

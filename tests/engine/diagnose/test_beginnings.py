@@ -22,7 +22,7 @@ def refit(name, score=0.0, outliers=False):
 
 
 def a_round(*refits, equivalent=1):
-    return Round(None, refits, None, refits[:equivalent])
+    return Round(Of(scores=range(8)), refits, None, refits[:equivalent])
 
 
 def a_search(gain, *names):
@@ -110,6 +110,17 @@ def test_fewer_effects_are_ahead_of_more_that_gain_hardly_more(gain, better):
     found = a_search(100.0, "pulse", "drag", "hold")
     best = best_beginning(found, BEGUN, SERIES, beside, lambda *_: a_search(gain, "step", "drag"))
     assert (best is found) != better
+
+
+@pytest.mark.parametrize(
+    ("gain", "alarm_left", "better"),
+    [(107.0, False, False), (107.0, True, True), (111.0, False, True)],
+)
+def test_more_effects_gain_more_by_the_choice_alone(gain, alarm_left, better):
+    """A drag beside a bent sensor left nothing; a cubic force, that sensor and friction were 3 ahead."""
+    found = replace(a_search(100.0, "pulse", "path"), alarm_left=alarm_left)
+    more = a_search(gain, "step", "path", "bias")
+    assert (best_beginning(found, BEGUN, SERIES, beside, lambda *_: more) is more) == better
 
 
 def test_one_effect_and_outliers_begin_in_one_way():

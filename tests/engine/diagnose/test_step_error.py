@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from engine import Gaussian, MixedModel, Parameter, Series
-from engine.diagnose import Effect, extend, register_effect
+from engine.diagnose import Effect, diagnose, extend, register_effect
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import Split, on_base, pushed
 from engine.diagnose.effects.setting import setting_for
@@ -126,6 +126,39 @@ def test_names_between_which_the_steps_may_decide_are_a_set():
     assert "coulomb:speed" in [refit.effect.name for refit in found.search.rounds[0].equivalent]
     assert found.verdict.value in ("set", "unknown")
     assert any("those within it are not told apart" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_no_further_effect_is_looked_for_where_shorter_steps_may_decide_the_first():
+    """What the steps of a name that only they keep ahead get wrong would be found beside it, at length."""
+    kinds = ["coulomb", "stribeck", "drag"]
+    series = measured(0.0, 0.0, friction=0.5)
+    found = find_causes(DRIVE, series, None, effects=kinds, seed=1, finer=True)
+    assert found.search.by_the_steps
+    assert len(found.search.rounds) == 1
+    diagnosis = diagnose(DRIVE, series, effects=kinds, seed=1)
+    assert diagnosis.verdict.value == "named"
+    assert [cause.effect for cause in diagnosis.causes] == ["coulomb:speed"]
+    assert abs(diagnosis.causes[0].size - 0.5) < 4.0 * diagnosis.causes[0].standard_error
+
+
+@pytest.mark.parametrize(
+    ("steps", "outliers", "worth", "ends"),
+    [
+        (4, False, 5.0, True),
+        (4, False, 0.0, False),
+        (8, False, 5.0, False),  # short enough
+        (4, True, 5.0, False),  # judged by a filter of their own
+    ],
+)
+def test_a_first_round_is_left_to_shorter_steps(steps, outliers, worth, ends, monkeypatch):
+    monkeypatch.setattr(step_error, "decides", lambda *_: worth)
+    effect = SimpleNamespace(name="drag:x", traits=SimpleNamespace(outliers=outliers))
+    best: Any = SimpleNamespace(effect=effect, fit=None)
+    found = Round(SimpleNamespace(), (best,), None, ())  # type: ignore[arg-type]
+    series: Any = SimpleNamespace(substeps=steps)
+    setting: Any = None
+    assert step_error.decided_by_steps(found, series, setting, NOTHING, 8) is ends
 
 
 @pytest.mark.slow
