@@ -439,13 +439,12 @@ def test_step_of_the_nile_is_named_on_the_page(nile_diagnosis):
 @pytest.mark.slow
 def test_a_step_is_not_judged_by_a_record_with_a_clock_of_its_own():
     series = nile()
-    held_out = Series(
-        series.y[:40], dt=1.0, y_names=series.y_names
-    )  # its times begin at 0, before the step
+    told = {"y_names": series.y_names, "time_unit": series.time_unit}
+    held_out = Series(series.y[:40], dt=1.0, **told)  # its times begin at 0, before the step
     found = diagnose(LEVEL, series, test=held_out, effects=["step"], seed=1)
     assert found.causes[0].effect.startswith("step:")
     assert found.gain.samples == len(series)
-    later = Series(series.y[60:], t=series.t[-1] + 1.0 + np.arange(40), y_names=series.y_names)
+    later = Series(series.y[60:], t=series.t[-1] + 1.0 + np.arange(40), **told)
     assert diagnose(LEVEL, series, test=later, effects=["step"], seed=1).gain.samples == 40
 
 

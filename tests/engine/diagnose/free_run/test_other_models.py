@@ -98,7 +98,7 @@ def test_it_is_asked_however_many_inputs_there_are(inputs):
 def _search(unit, zero):
     model, series = cart(unit, zero), _series(unit, zero, 2)
     return search_free_runs(
-        _base(model, series), [series], model.theta(), levels=(0.05, 0.0), kinds=KINDS, seed=0,
+        _base(model, series), [series], model.theta(), levels=(0.05, 0.05), kinds=KINDS, seed=0,
         progress=lambda stage, fraction: None,
     )  # fmt: skip
 
