@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -33,7 +34,7 @@ def in_processes(n: int | None) -> Iterator[None]:
     """
     if n is None:
         n = 1 if threading.active_count() > 1 else _cores()
-    before = _PROCESSES.set(n if hasattr(os, "fork") else 1)
+    before = _PROCESSES.set(n if sys.platform == "linux" else 1)  # elsewhere copies are not safe
     try:
         yield
     finally:
@@ -75,9 +76,11 @@ class Copies:
         trace: TracebackType | None,
     ) -> None:
         for copy in self._copies:
-            with suppress(ProcessLookupError):
+            with suppress(
+                ProcessLookupError, ChildProcessError
+            ):  # where ended children are not waited for
                 os.kill(copy, signal.SIGKILL)
-            os.waitpid(copy, 0)
+                os.waitpid(copy, 0)
         for found in set(self._found.values()):
             found.close()
 
@@ -94,12 +97,17 @@ class Copies:
             return None
 
     def _begin(self, own: range) -> None:
-        """A copy that does these tasks."""
+        """A copy that does these tasks; none where there is no room for another process."""
         there, back = os.pipe()
         here = os.getpid()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of threads of linear algebra
-            copy = os.fork()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # of threads of linear algebra
+                copy = os.fork()
+        except OSError:
+            os.close(there)
+            os.close(back)
+            return
         if copy == 0:
             try:
                 os.close(there)

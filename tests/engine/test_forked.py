@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from contextlib import closing
 from functools import partial
@@ -13,7 +14,9 @@ import pytest
 from engine import forked
 from engine.forked import each, in_processes
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="copies of a process need fork()")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="processes are copied on Linux only"
+)
 HERE = os.getpid()
 
 
@@ -57,6 +60,16 @@ def end():
 def test_what_a_copy_does_not_find_is_found_here(how):
     with in_processes(2):
         assert list(each([partial(only_here, i, how) for i in range(5)])) == list(range(5))
+
+
+def test_where_there_is_no_room_for_another_process_all_is_done_here(monkeypatch):
+    def full():
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "fork", full)
+    with in_processes(3):
+        found = list(each([partial(where, i) for i in range(4)]))
+    assert found == [(i, HERE) for i in range(4)]
 
 
 def test_an_error_is_raised_where_it_would_be_without_copies():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import engine
 from engine import OptionError, Series, forked
 from tests.engine.clear_step import clear_flows
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="copies of a process need fork()")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="processes are copied on Linux only"
+)
 LEVEL = engine.get_model("local-level")
 KINDS = ["step", "pulse", "drag"]
 
