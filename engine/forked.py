@@ -6,6 +6,7 @@ it finds is sent back. So nothing changes but the time: what no copy has found i
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import pickle
 import signal
@@ -30,10 +31,12 @@ def in_processes(n: int | None) -> Iterator[None]:
     """Have :class:`Copies` share their tasks among ``n`` processes, this one included.
 
     None: as many as there are cores. But where this process has several threads, only if ``n`` says so: a copy
-    has none of the others, and waits for ever for what one of them held.
+    has none of the others, and waits for ever for what one of them held. Nor where it is one of a pool, whose
+    others have the cores.
     """
     if n is None:
-        n = 1 if threading.active_count() > 1 else _cores()
+        alone = threading.active_count() == 1 and multiprocessing.parent_process() is None
+        n = _cores() if alone else 1
     before = _PROCESSES.set(n if sys.platform == "linux" else 1)  # elsewhere copies are not safe
     try:
         yield

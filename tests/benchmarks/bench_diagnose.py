@@ -1,8 +1,9 @@
 """What a diagnosis costs: ``python -m tests.benchmarks.bench_diagnose``.
 
 Processor seconds on one core of a diagnosis of eq. (35) with T = 1000 and the whole catalogue, with the
-share of each stage, clean and with a hidden effect; and of screening alone, against the number of
-candidates and the length of the series. Writes ``results/diagnose-cost.csv`` and ``.md``.
+share of each stage, clean and with a hidden effect; of screening alone, against the number of candidates
+and the length of the series; and seconds on the clock, by one process and by two. Writes
+``results/diagnose-cost.csv`` and ``.md``.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -54,7 +55,7 @@ def stages() -> list[dict[str, Any]]:
     for label, effect, size in (("clean", "", 0.0), (HIDDEN, HIDDEN, SIZE)):
         series = series_of(T, effect, size)
         began, cpu = time.perf_counter(), time.process_time()
-        found = diagnose(engine.get_model(MODEL), series, seed=1)
+        found = diagnose(engine.get_model(MODEL), series, seed=1, processes=1)
         cpu, wall = time.process_time() - cpu, time.perf_counter() - began
         for stage, seconds in found.seconds.items():
             # stages are clocked by wall time; their shares are applied to processor time
@@ -101,6 +102,34 @@ def screening() -> list[dict[str, Any]]:
     return rows
 
 
+def shared() -> list[dict[str, Any]]:
+    """Median seconds on the clock of whole diagnoses by one process and by two, in turn."""
+    rows = []
+    for label, effect, size in (("clean", "", 0.0), (HIDDEN, HIDDEN, SIZE)):
+        series = series_of(T, effect, size)
+        spent: dict[int, list[float]] = {1: [], 2: []}
+        for _ in range(REPEATS):
+            for processes, seconds in spent.items():
+                began = time.perf_counter()
+                diagnose(engine.get_model(MODEL), series, seed=1, processes=processes)
+                seconds.append(time.perf_counter() - began)
+        ratio = float(np.median(np.divide(spent[2], spent[1])))
+        for processes, seconds in spent.items():
+            rows.append(
+                {
+                    "what": f"shared, {label}",
+                    "part": f"{processes} processes: {ratio:.2f} of the time"
+                    if processes > 1
+                    else "1 process",
+                    "T": T,
+                    "candidates": 0,
+                    "seconds": float(np.median(seconds)),
+                }
+            )
+            print(rows[-1], flush=True)
+    return rows
+
+
 def slope(rows: list[dict[str, Any]], by: str) -> float:
     """Of log seconds over log ``by``: 1 is linear."""
     x = np.log([row[by] for row in rows])
@@ -110,7 +139,7 @@ def slope(rows: list[dict[str, Any]], by: str) -> float:
 def main() -> None:
     """Measure and write."""
     diagnose(engine.get_model(MODEL), series_of(200), seed=1)  # compiles
-    rows = [*stages(), *screening()]
+    rows = [*stages(), *screening(), *shared()]
     with (RESULTS / "diagnose-cost.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0], lineterminator="\n")
         writer.writeheader()
@@ -120,7 +149,7 @@ def main() -> None:
 
 def page(rows: list[dict[str, Any]]) -> str:
     """The tables."""
-    whole = [row for row in rows if row["what"] != "screen"]
+    whole = [row for row in rows if row["what"].startswith("diagnosis")]
     text = [
         f"# What a diagnosis costs\n\n`{MODEL}`, the whole catalogue, processor seconds on one core.\n"
     ]
@@ -145,7 +174,13 @@ def page(rows: list[dict[str, Any]]) -> str:
         f"{slope(by_number, 'candidates'):.2f} over log candidates; 1 is linear growth, less where a fixed "
         "part counts.\n"
     )
-    return "\n".join(text)
+    text += ["| diagnosis by several processes | | seconds on the clock |", "| --- | --- | --- |"]
+    text += [
+        f"| {r['what'].removeprefix('shared, ')} | {r['part']} | {r['seconds']:.1f} |"
+        for r in rows
+        if r["what"].startswith("shared")
+    ]
+    return "\n".join([*text, ""])
 
 
 if __name__ == "__main__":

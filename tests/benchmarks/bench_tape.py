@@ -129,7 +129,7 @@ def diagnoses() -> Iterator[str]:
         ("pendulum, 1000 samples", swing, series_for(swing)),
     ):
         calls, tape, ratio, a, b = paired(
-            lambda m=model, s=series: diagnose(m, s, seed=1), 1, by_calls
+            lambda m=model, s=series: diagnose(m, s, seed=1, processes=1), 1, by_calls
         )
         same = a.verdict is b.verdict and [x.effect for x in a.causes] == [
             x.effect for x in b.causes

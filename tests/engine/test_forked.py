@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import sys
@@ -105,6 +106,13 @@ def test_a_few_short_ones_are_not_worth_a_copy(monkeypatch):
     with in_processes(2):
         assert len({copy for _, copy in each([partial(where, i) for i in range(3)])}) == 1
         assert len({copy for _, copy in each([partial(where, i) for i in range(4)])}) == 2
+
+
+def test_a_process_of_a_pool_is_not_copied_unless_it_is_asked_for(monkeypatch):
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: "the pool's")
+    monkeypatch.setattr(threading, "active_count", lambda: 1)  # whatever runs these tests
+    with in_processes(None):
+        assert {copy for _, copy in each([partial(where, i) for i in range(3)])} == {HERE}
 
 
 def test_copies_make_no_copies():
