@@ -14,12 +14,12 @@ import numpy as np
 from engine.statespace.model import Array
 
 SHORTEST = 2  # samples; what lasts for one is a pulse
-LONGEST = 0.2  # of the record: what lasts longer is a step and another
+LONGEST = 0.8  # of the record; a step is found once, and can be taken back by an episode alone
 GROWTH = 1.3  # from one length to the next
 KNOWN = 6  # windows of a length whose information is found
-TRIED = 40  # windows tested exactly
+TRIED = 60  # windows tested exactly
 NEAR = 3  # places to either side at which an end is tried again, spread over a share ...
-SHARE = 0.25  # ... of the length
+SHARE = 0.25  # ... of the length, then of what lies between them, until they are rows
 
 Window = tuple[int, int]  # from one sample to before another
 Information = Callable[[Sequence[Window]], Array]
@@ -86,10 +86,19 @@ def _peaks(promise: Array, apart: int, most: int) -> list[int]:
     return out
 
 
-def near(window: Window, n: int) -> list[Window]:
-    """The window with its ends moved a little."""
+def strides(window: Window) -> list[float]:
+    """Samples from one place at which an end is tried to the next, ever fewer, in the end one."""
     begin, end = window
-    by = sorted({round(k * max(1.0, SHARE * (end - begin) / NEAR)) for k in range(-NEAR, NEAR + 1)})
+    out = [max(1.0, SHARE * (end - begin) / NEAR)]
+    while out[-1] > 1.0:
+        out.append(max(1.0, out[-1] / NEAR))
+    return out
+
+
+def near(window: Window, n: int, stride: float) -> list[Window]:
+    """The window with its ends moved a little: by a few times so many samples."""
+    begin, end = window
+    by = sorted({round(k * stride) for k in range(-NEAR, NEAR + 1)})
     return [
         (begin + i, end + j)
         for i in by

@@ -11,7 +11,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
-from engine.diagnose.screening.episodes import Window, near, promising, tries
+from engine.diagnose.screening.episodes import Window, near, promising, strides, tries
 from engine.diagnose.screening.score_columns import Column, Projection, whitened
 from engine.diagnose.screening.screen import Test, make_test
 from engine.estimation.expectation import parameter_scale
@@ -90,14 +90,21 @@ def _episode_test(
         at = [(float(series.t[rows[begin]]), float(series.t[rows[end]])) for begin, end in windows]
         return tested(at, gates(windows)) if windows else None
 
+    def best_of(windows: Sequence[Window], test: Test) -> Window:
+        return windows[int(np.argmax(test.statistics(test.s.sum(axis=1))))]
+
     windows = promising(scores, information, begins, known)
-    first = test_of(windows)
-    if first is None:
+    test = test_of(windows)
+    if test is None:
         return None
-    best = windows[int(np.argmax(first.statistics(first.s.sum(axis=1))))]
-    around = [w for w in near(best, n) if not any(w[0] < b < w[1] for b in begins)]
-    again = test_of(around)
-    return None if again is None else again.best_of(int(tries(series.n_measured)))
+    best = best_of(windows, test)
+    for stride in strides(best):
+        windows = [w for w in near(best, n, stride) if not any(w[0] < b < w[1] for b in begins)]
+        test = test_of(windows)
+        if test is None:
+            return None
+        best = best_of(windows, test)
+    return test.best_of(int(tries(series.n_measured)))
 
 
 def grid(effect: Effect, series: Series) -> Array:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import engine
 from engine.diagnose import diagnose
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.screening.episodes import lengths, near, promising
+from engine.diagnose.screening.episodes import NEAR, lengths, near, promising, strides
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 
@@ -40,7 +42,7 @@ def room():
     )
 
 
-def record(seed, cold):
+def record(seed, cold, begin=BEGIN, end=END):
     """Readings every 2 minutes; the air loses ``cold`` kelvin a minute while a door is open."""
     rng = np.random.default_rng(seed)
     heater = np.repeat(rng.choice([0.0, 1.0], T // 20), 20)
@@ -50,7 +52,7 @@ def record(seed, cold):
         y[k] = x + 0.2 * rng.standard_normal()
         stays = np.exp(-2.0 / 45.0)
         x = stays * x + (1.0 - stays) * (outside[k] + 11.0 * heater[k])
-        x += 0.1 * rng.standard_normal() - 2.0 * cold * (BEGIN <= k < END)
+        x += 0.1 * rng.standard_normal() - 2.0 * cold * (begin <= k < end)
     u = np.column_stack([heater, outside])
     names = {"y_names": ("thermometer",), "u_names": ("heater", "outside")}
     return engine.Series(y, u, dt=2.0, time_unit="min", **names)
@@ -67,6 +69,29 @@ def test_an_open_door_has_a_beginning_and_an_end():
     assert values["episode_air_end"] == pytest.approx(2.0 * END, abs=4.0)
     assert abs(cause.size + 0.12) < 3.0 * cause.standard_error
     assert "end 2" in str(found).partition("1. What")[0]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_screen_sees_both_ends_of_what_lasts_for_half_of_the_record(seed):
+    series = record(seed, 0.12, 50, 150)
+    fit = quasi_ml(room(), series)
+    setting = setting_for(fit.model, series, np.asarray(fit.theta))
+    seen = screen_effects(fit, series, setting, ["episode"], 0.05, 1, lambda *_: None)
+    (air,) = (score for score in seen.scores if score.effect.name == "episode:air")
+    assert air.at == pytest.approx((100.0, 300.0), abs=6.0)
+
+
+@pytest.mark.slow
+def test_a_door_open_for_half_of_the_record_is_no_step_beside_another_episode():
+    kinds = ["episode", "step", "pulse", "variance", "level"]
+    begin, end = 50, 150
+    found = diagnose(room(), record(1, 0.12, begin, end), effects=kinds, seed=1, held_out=0)
+    (cause,) = found.causes
+    assert found.verdict.value == "named"
+    assert cause.effect == "episode:air"
+    assert cause.parameters["episode_air_time"] == pytest.approx(2.0 * begin, abs=8.0)
+    assert cause.parameters["episode_air_end"] == pytest.approx(2.0 * end, abs=8.0)
+    assert abs(cause.size + 0.12) < 3.0 * cause.standard_error
 
 
 def test_none_is_seen_where_none_was():
@@ -88,9 +113,16 @@ def test_windows_of_a_record():
     windows = promising(scores, information, [], known)
     begin, end = max(windows, key=lambda w: scores[w[0] : w[1]].sum() ** 2 / (w[1] - w[0]))
     assert abs(begin - 40) + abs(end - 52) <= 3
-    assert (40, 52) in near((begin, end), n)
+    assert (40, 52) in near((begin, end), n, 1.0)
     for begin, end in promising(scores, information, [46], known):  # another record begins there
         assert not begin < 46 < end
     assert lengths(n)[0] == 2
-    assert lengths(n)[-1] <= 20
-    assert not lengths(8)
+    assert 50 < lengths(n)[-1] <= 80
+    assert not lengths(2)
+
+
+def test_ends_of_a_long_window_are_tried_to_the_row():
+    every = strides((100, 500))
+    assert every[-1] == 1.0
+    assert all(2.0 * NEAR * few >= wide for wide, few in pairwise(every))
+    assert strides((3, 7)) == [1.0]
