@@ -39,6 +39,7 @@ STAGES = {
     "calibration of refits": Stage(0.35, "calibrating these on simulated series", counted=True),
     "refit": Stage(0.3, "estimating the most likely effects", counted=True),
     "looking back": Stage(0.5, "weighing what was found once more together", counted=True),
+    "another beginning": Stage(0.5, "searching once more, with another effect as the first"),
     "contradictions": Stage(0.05, "looking for what contradicts it"),
     "free run": Stage(0.5, "searching with the free run"),
     "bootstrap": Stage(0.9, "parametric bootstrap of the first p-value", counted=True),

@@ -9,6 +9,7 @@ import pytest
 import engine
 from engine.data import nile
 from engine.diagnose import Verdict, extend, hide
+from engine.diagnose.search.search import ANEW
 from service import diagnoses
 from service.diagnoses import Percent, in_a_line
 from service.schemas import DiagnoseRequest
@@ -228,6 +229,19 @@ def test_progress_only_goes_forward():
     steps = [k for k, _, _ in told]
     assert steps == sorted(steps)
     assert steps[-3:] == [91, 95, 100]
+
+
+def test_a_search_that_begins_otherwise_is_told_as_one():
+    told = []
+    percent = Percent(lambda k, message, share: told.append((k, message, share)))
+    percent("looking back", 1.0)
+    for share in (0.0, 0.25, 0.5):
+        percent(ANEW, share)
+    steps = [k for k, _, _ in told]
+    assert steps == [50, 50, 56, 62]
+    assert {said[1:] for said in told[1:]} == {
+        ("searching once more, with another effect as the first", None)
+    }
 
 
 def test_stages_of_counted_steps_tell_their_own_share():

@@ -65,6 +65,8 @@ from engine.statespace.model import MixedModel
 FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what noise has swallowed
 LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
+ANEW = "another beginning"  # the stage of a search that begins with another effect
+TWICE = 0.5  # of that stage, for the search without simulations, and for the one with them
 PASSES = 3  # of taking outliers out: what follows one is judged again without it
 
 
@@ -103,6 +105,7 @@ def search(  # noqa: PLR0913
         return found
 
     def beside(rival: Refit) -> Screen:
+        progress(ANEW, 0.0)
         fit = kept.within(f"beside {rival.effect.name}").fit(
             rival.fit.model, partial(_finished, rival.fit, series, lambda k: None)
         )
@@ -112,12 +115,8 @@ def search(  # noqa: PLR0913
 
     def other(first: Round, simulating: bool) -> Search:
         apart = remembered.apart(f"beginning with {first.refits[0].effect.name}")
-        # told for who wants to stop it; the search has come as far as that already
-        as_before = partial(progress, STAGE, 1.0)
-        again, _ = look(
-            progress=lambda *_: as_before(), kept=apart, first=first, simulating=simulating
-        )
-        return again
+        told = _by_rounds(progress, TWICE if simulating else 0.0, max_effects + 1)
+        return look(progress=told, kept=apart, first=first, simulating=simulating)[0]
 
     return best_beginning(found, begun, series, beside, other)
 
@@ -339,6 +338,18 @@ def _of_last(found: Round, tails: Refit, final: QuasiFit, base: QuasiFit) -> Rou
 def part_of(progress: Progress, begin: float, end: float) -> Progress:
     """For a part of a stage that has this share of it."""
     return lambda stage, share: progress(stage, begin + (end - begin) * share)
+
+
+def _by_rounds(progress: Progress, begin: float, most: int) -> Progress:
+    """For a further search that is part of a stage: as far in it as rounds are begun, at most ``most``."""
+    rounds, before = 0, ""
+
+    def told(stage: str, share: float) -> None:
+        nonlocal rounds, before
+        rounds, before = rounds + (stage != before and stage == "screen"), stage
+        progress(ANEW, begin + TWICE * min(rounds / most, 1.0))
+
+    return told
 
 
 def _iterations(progress: Progress, stage: str, begin: float) -> Callable[[int], Any]:

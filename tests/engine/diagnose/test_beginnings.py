@@ -12,6 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.search import ANEW, TWICE, _by_rounds
 from tests.engine.diagnose.test_held import kettle
 
 
@@ -121,6 +122,18 @@ def test_more_effects_gain_more_by_the_choice_alone(gain, alarm_left, better):
     found = replace(a_search(100.0, "pulse", "path"), alarm_left=alarm_left)
     more = a_search(gain, "step", "path", "bias")
     assert (best_beginning(found, BEGUN, SERIES, beside, lambda *_: more) is more) == better
+
+
+@pytest.mark.parametrize("begin", [0.0, TWICE])
+def test_another_search_is_a_stage_that_moves_with_its_rounds(begin):
+    """It may take minutes, in which nothing else was told than that the stage before is done."""
+    told = []
+    progress = _by_rounds(lambda stage, share: told.append((stage, share)), begin, 4)
+    for stage in ("screen", "screen", "refit", "screen", "calibration", "refit", "looking back"):
+        progress(stage, 0.0)
+    assert {stage for stage, _ in told} == {ANEW}
+    shares = [share - begin for _, share in told]
+    assert shares == [1 / 8, 1 / 8, 1 / 8, 1 / 4, 1 / 4, 1 / 4, 1 / 4]
 
 
 def test_one_effect_and_outliers_begin_in_one_way():
