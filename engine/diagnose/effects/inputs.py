@@ -76,7 +76,7 @@ def _input_dead_zone(setting: Setting, channel: str, name: str) -> Effect:
         "input-deadzone",
         channel,
         "input",
-        f"dead zone of the input {channel}",
+        f"dead zone of the input {channel}, to either side",
         f"v = {origin.text(channel)} -> (|v| - {name})+ sign(v)",
         extend=lambda model: change_inputs(model, channel, change),
         look_alikes={

@@ -42,7 +42,7 @@ def _play(setting: Setting, channel: str, name: str) -> Effect:
         "play",
         channel,
         "input" if at_input else "measurement",
-        f"play of the {'input' if at_input else 'sensor'} {channel}",
+        f"play of the {'input' if at_input else 'sensor'} {channel}, to either side",
         f"{channel} -> p,  p_t = clip(p_(t-1), {channel} - {name}, {channel} + {name})",
         (
             Parameter(name, 0.0, unit, setting.limits(0.0, widest, 0.0), "half of the slack"),

@@ -347,6 +347,14 @@ def test_a_headline_says_on_which_side_a_signal_saturates(side, zero, told):
     assert when(found) == told
 
 
+@pytest.mark.parametrize("kind", ["play", "input-deadzone"])
+def test_a_title_says_of_which_half_a_slack_the_size_is(kind):
+    """A valve with 5 % of backlash was told to have 2.5 %: sizes are half of what data sheets give."""
+    effect = make_effect(f"{kind}:drive", Setting(engine.get_model("servo")))
+    assert "half" in effect.size.description
+    assert effect.title.endswith("of the input drive, to either side")
+
+
 def test_a_headline_says_when_it_happens():
     parameters = {"step_y": 3.0, "step_y_time": 1899.0}
     once = replace(
