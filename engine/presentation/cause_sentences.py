@@ -68,6 +68,17 @@ def with_others(together: Sequence[str], beside: Sequence[str]) -> str:
     return f" beside {enumerated(list(beside))}" if beside else ""
 
 
+def not_told_apart(equivalent: Sequence[str], together: Sequence[str]) -> str:
+    """``not told apart from y or z``, of ``equivalent`` x, y and z for a cause x; "" where it is alone.
+
+    Of several that were chosen ``together`` these are what other sets have in its place or in that of all.
+    """
+    if len(equivalent) < 2:
+        return ""
+    among = f", by itself or together with {enumerated(list(together))}," if together else ""
+    return f"not told apart{among} from {enumerated(list(equivalent[1:]), 'or')}"
+
+
 def sized(cause: Cause) -> str:
     """``0.52 +- 0.03 N``; of a wave, whose size is its cosine's, ``amplitude 0.158 +- 0.014 m/s``."""
     if cause.amplitude is not None:

@@ -23,6 +23,7 @@ from engine.presentation.cause_sentences import (
     headline,
     in_time,
     looked_for,
+    not_told_apart,
     phrased,
     sample_step,
     standing,
@@ -86,9 +87,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
     for k, cause in enumerate(d.causes):
         closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
         yield from _wrapped(f"{closest}{_marker(d, k)}{_headline(d, cause)}", "  ")
-        if len(cause.equivalent) > 1:
-            others = enumerated(list(cause.equivalent[1:]), "or")
-            yield from _wrapped(f"not told apart from {others}", "      ")
+        if others := not_told_apart(cause.equivalent, cause.together):
+            yield from _wrapped(others, "      ")
         if cause.in_other_words:
             same = enumerated(list(cause.in_other_words), "or")
             yield from _wrapped(f"in other words, the same on these data: {same}", "      ")

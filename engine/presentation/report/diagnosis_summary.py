@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, SAME
-from engine.presentation.cause_sentences import looked_for
+from engine.presentation.cause_sentences import looked_for, not_told_apart
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (
     Document,
@@ -66,9 +66,8 @@ def _known(d: Document) -> str:
 def _headline(cause: Document) -> Html:
     """``Coulomb friction 0.52 ± 0.03 N``, with the names it cannot be told from."""
     parts = [tag("strong", capital(cause["title"])), " ", with_time(cause), cause.get("when", "")]
-    if len(cause["equivalent"]) > 1:
-        others = enumerated(list(cause["equivalent"][1:]), "or")
-        parts.append(tag("span", f", not told apart from {others}", class_="hint"))
+    if others := not_told_apart(cause["equivalent"], cause.get("together", ())):
+        parts.append(tag("span", f", {others}", class_="hint"))
     for words, begins in APART.items():
         names = [o["effect"] for o in cause["look_alikes"] if o["difference"].startswith(begins)]
         if names:

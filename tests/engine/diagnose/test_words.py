@@ -28,12 +28,13 @@ from engine.presentation.cause_sentences import (
     experiment,
     headline,
     late,
+    not_told_apart,
     phrased,
     sample_step,
     standing,
     when,
 )
-from engine.presentation.report import report_html
+from engine.presentation.report import diagnosis_summary, report_html
 from engine.presentation.report.parts import pretty, prose, with_time
 from engine.simulation.simulate import simulate
 from engine.words import (
@@ -353,6 +354,18 @@ def test_a_title_says_of_which_half_a_slack_the_size_is(kind):
     effect = make_effect(f"{kind}:drive", Setting(engine.get_model("servo")))
     assert "half" in effect.size.description
     assert effect.title.endswith("of the input drive, to either side")
+
+
+def test_what_stands_in_for_several_is_not_told_of_each():
+    """A slow sensor beside two other causes was "not told apart from" a drift, which stood in for all three."""
+    names = ("slow-sensor:tc", "path:duty->gas", "drift:tc")
+    assert not_told_apart(names[:1], ("cubic:gas",)) == ""
+    assert not_told_apart(names, ()) == "not told apart from path:duty->gas or drift:tc"
+    assert not_told_apart(names, ("cubic:gas",)) == (
+        "not told apart, by itself or together with cubic:gas, from path:duty->gas or drift:tc"
+    )
+    shown = diagnosis_summary._headline(asdict(replace(cause(names), together=("cubic:gas",))))
+    assert "by itself or together with cubic:gas" in str(shown)
 
 
 def test_a_headline_says_when_it_happens():
