@@ -156,8 +156,20 @@ class Series(Shown):
         set_(self, "hold", hold)
         set_(self, "time_unit", time_unit.strip())
         set_(self, "units", self._known_units(units or {}))
+        self._freeze()
+
+    def _freeze(self) -> None:
         for array in (self.y, self.u, self.extra, self.t):
             array.setflags(write=False)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """As it was before it was pickled or copied, which arrays that cannot be written come back from writable.
+
+        Kernels would be compiled anew for these, for half a minute.
+        """
+        vars(self).update(state)
+        vars(self).pop("u_step", None)
+        self._freeze()
 
     def _known_units(self, units: Mapping[str, str]) -> dict[str, str]:
         """The units given, each of a channel there is. Raises SeriesError."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -61,3 +64,14 @@ def test_what_is_masked_is_missing():
 def test_complex_numbers_are_no_readings():
     with pytest.raises(SeriesError, match=r"y is not a table of numbers .* complex"):
         Series(np.array([1.0 + 1j, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_copy_cannot_be_written_either(again):
+    """Arrays come back writable; a kernel would be compiled anew for them, in every process of a pool."""
+    series = Series(np.arange(4.0), u=np.ones(4), dt=0.5, hold="foh", extra=np.ones(4))
+    assert not series.u_step.flags.writeable
+    found = again(series)
+    for name in ("y", "u", "extra", "t", "u_step"):
+        assert not getattr(found, name).flags.writeable
+        np.testing.assert_array_equal(getattr(found, name), getattr(series, name))
