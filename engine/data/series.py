@@ -163,9 +163,9 @@ class Series(Shown):
             array.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """As it was before it was pickled or copied, which arrays that cannot be written come back from writable.
+        """As it was before it was pickled or copied, from which its arrays come back writable.
 
-        Kernels would be compiled anew for these, for half a minute.
+        Kernels would be compiled anew for such, for half a minute.
         """
         vars(self).update(state)
         vars(self).pop("u_step", None)
