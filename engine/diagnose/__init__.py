@@ -158,8 +158,8 @@ def diagnose(  # noqa: PLR0913
         left out of the fit in turn, and what others gain is not measured.
     processes : int, optional
         Among how many processes screens and refits are shared; the answer does not depend on it. By default
-        one for each core, but one alone in a process of a pool, and where copies of a process are not safe:
-        elsewhere than on Linux, or beside threads of the caller, as in a notebook.
+        one for each core, but one alone in a process of a pool. So it is where copies of a process are not
+        safe, elsewhere than on Linux or beside threads of the caller, as in a notebook.
 
     Returns
     -------

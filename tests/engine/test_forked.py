@@ -80,13 +80,21 @@ def test_an_error_is_raised_where_it_would_be_without_copies():
             next(found)
 
 
-def test_copies_end_with_who_asked():
+def test_copies_end_with_who_asked(monkeypatch):
     """As where somebody stops it half-way."""
-    waits = threading.Event()
+    waits, copies, fork = threading.Event(), [], os.fork
+
+    def noted():
+        copies.append(fork())
+        return copies[-1]
+
+    monkeypatch.setattr(os, "fork", noted)
     with in_processes(3), closing(each([partial(where, 0), waits.wait, waits.wait])) as found:
         next(found)
-    with pytest.raises(ChildProcessError):  # there is none left
-        os.waitpid(-1, os.WNOHANG)
+    assert len(copies) == 2
+    for copy in copies:
+        with pytest.raises(ChildProcessError):  # it is there no more
+            os.waitpid(copy, os.WNOHANG)
 
 
 def test_a_process_with_threads_is_not_copied_unless_it_is_asked_for():

@@ -157,7 +157,7 @@ def decided_by_steps(
 ) -> bool:
     """Whether the error of the steps may decide this first round, of fewer than ``enough`` steps a sample."""
     best = found.refits[0]
-    if series.substeps >= enough or best.effect.traits.outliers:
+    if not enough or series.substeps >= enough or best.effect.traits.outliers:
         return False
     own = kept.apart("the first by half steps")
     try:

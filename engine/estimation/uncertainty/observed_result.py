@@ -40,8 +40,8 @@ class StandardErrors:
         alone surely tells of a distance in the errors that complete data would leave, it is no less than that.
     settled : bool
         Whether theta is a maximum of the likelihood. False where the decrement exceeds a quarter by more than
-        its Monte Carlo noise, where the likelihood draws a parameter away from the bound that holds it, or
-        where the estimation was lost.
+        its Monte Carlo noise, or where the likelihood draws a parameter away from the bound that holds it.
+        Nor is it one where the estimation was lost.
     warning : str
         What is to be known of the errors: that it is not settled, and they are none of an estimate; that
         particles could not check them; which parameters are tied. Else "".

@@ -10,10 +10,12 @@ import pytest
 from engine.diagnose.two_criteria import TwoAnswers
 
 
-def answers(k: int, decides: bool, search: Any, steps: int, coarse: bool = False) -> TwoAnswers:
+def answers(
+    k: int, decides: bool, search: Any, steps: int, coarse: bool = False, first: bool = False
+) -> TwoAnswers:
     parts: Any = (
-        SimpleNamespace(k=k, finer=True),
-        SimpleNamespace(steps=steps, coarse=coarse),
+        SimpleNamespace(k=k, finer=k < 16),
+        SimpleNamespace(steps=steps, coarse=coarse, search=SimpleNamespace(by_the_steps=first)),
         SimpleNamespace(decides=decides, search=search),
         None,
     )
@@ -45,3 +47,10 @@ def test_sizes_need_shorter_steps(k, decides, search, steps, again):
 def test_what_the_free_run_found_does_on_its_own():
     assert answers(4, True, of_free_run(["coulomb:v"], coarse=True), 4).coarse
     assert answers(2, False, None, 2, coarse=True).steps == 4
+
+
+@pytest.mark.parametrize(("k", "again"), [(1, True), (8, True), (16, False)])
+def test_a_search_that_ended_with_its_first_round_is_made_anew(k, again):
+    found = answers(k, False, None, 1, coarse=True, first=True)
+    assert found.coarse is again
+    assert found.steps == 2 * k
