@@ -114,9 +114,7 @@ def moving_on_tape(run: FilterSteps, a: Array) -> OnTape | None:
 
 
 def _on_tape(run: FilterSteps, function: Any, call: Any, u: Array, a: Array) -> OnTape | None:
-    inputs = np.array(
-        u, dtype=float
-    )  # of one kind, whoever made them: a kernel is compiled for each
-    rows = inputs, np.array(run.times), np.array([*run.steps, 0.0])
+    # inputs of one kind, whoever made them: a kernel is compiled for each
+    rows = np.array(u, dtype=float, order="C"), np.array(run.times), np.array([*run.steps, 0.0])
     record = run.model.record(run.thetas.thetas[0])
     return on_tape(function, partial(call, run), rows, a, run.thetas.thetas, record)

@@ -36,6 +36,7 @@ def rows_by_tape(
     if T < SHORTEST or model.na == 0 or own_draw:
         return None
     a, z, Z, w, log_w, _, ess, _ = first
+    a = np.array(a, order="C")  # however it was drawn: a kernel is compiled for each layout
     run = FilterSteps(model, Thetas(model, theta), series)
     tapes = tapes_of(run, a)
     spread = None if tapes is None else tapes.reading
@@ -52,8 +53,9 @@ def rows_by_tape(
         rows[0] = value
     shapes = (M, nx), (each, nx, nx), (each, nz, nx), (each, nz, nz)
     predicted = [np.empty((T - 1, *shape)) for shape in shapes]
-    mean, cov = run.start()
-    options = ess_threshold, SCHEMES.index(resampling), draw is adapted, DEFENSIVE, INFLATION
+    nowhere = np.zeros((1, nx)), np.zeros((1, nx, nx))
+    mean, cov = run.start() if series.begins else nowhere
+    options = float(ess_threshold), SCHEMES.index(resampling), draw is adapted, DEFENSIVE, INFLATION
     before = rng.bit_generator.state
     reading, moving, record = tapes.arguments
     done = filter_particles_taped(
@@ -62,7 +64,7 @@ def rows_by_tape(
         moving,
         record,
         (np.repeat(mean, M, axis=0), cov),
-        np.array(series.y),
+        np.array(series.y, order="C"),
         (a, z, Z, w, log_w, ess),
         options,
         rng,

@@ -14,6 +14,7 @@ from engine.data.series import Series
 from engine.filters.heavy_tails import with_mixture
 from engine.filters.proposals import adapted
 from engine.filters.rbpf import RESAMPLING, rbpf
+from engine.kernels.taped_particles import filter_particles_taped
 from engine.models.registry import get_model
 from engine.statespace.model import Gaussian, MixedModel, Parameter
 from tests.engine.models_for_tests import (
@@ -143,3 +144,29 @@ def test_a_covariance_that_is_none_is_told_as_by_calls():
     bad = MixedModel(**given | {"measurement": measurement})
     with pytest.raises(engine.ModelError, match="t = 21"):
         rbpf(bad, None, Series(np.zeros((T, 1)), dt=1.0), M, 1)
+
+
+class Square:
+    """An initial density of a user, whose draws lie in memory by columns."""
+
+    def sample(self, rng, n):
+        return np.asfortranarray(rng.uniform(-1.0, 1.0, (n, 2)))
+
+    def log_density(self, a):
+        return np.where((np.abs(a) <= 1.0).all(axis=1), -2.0 * np.log(2.0), -np.inf)
+
+
+def test_however_users_write_it_the_kernel_is_the_one_that_is_there(monkeypatch):
+    """Inputs and draws by columns, and a share that is a whole number; each would be compiled for anew."""
+    model = linear_mixed()
+    rbpf(model, None, awkward_series(model, T), M, 1)
+    before = list(filter_particles_taped.signatures)
+    given = {field.name: getattr(model, field.name) for field in fields(model)}
+    given["initial"] = lambda theta: (Square(), [1.0, 0.0], 0.1 * np.eye(2))
+    own = MixedModel(**given)
+    drawn = awkward_series(model, T)
+    series = Series(np.asfortranarray(drawn.y), np.asfortranarray(drawn.u), t=drawn.t)
+    on_tape, taped, called = both(own, series, monkeypatch, ess_threshold=1)
+    assert on_tape
+    assert_same(taped, called)
+    assert list(filter_particles_taped.signatures) == before
