@@ -426,7 +426,8 @@ def _columns(values: ArrayLike, name: str) -> Array:
     try:
         if np.iscomplexobj(values):
             raise ValueError("they are complex")
-        array = np.array(values, dtype=float)
+        # by rows, whoever made them, as a frame has them by columns: kernels are compiled for each layout
+        array = np.array(values, dtype=float, order="C")
         if isinstance(values, np.ma.MaskedArray):  # NumPy keeps what is behind the mask
             array[np.ma.getmaskarray(values)] = np.nan
     except (TypeError, ValueError) as error:

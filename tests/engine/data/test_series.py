@@ -75,3 +75,13 @@ def test_a_copy_cannot_be_written_either(again):
     for name in ("y", "u", "extra", "t", "u_step"):
         assert not getattr(found, name).flags.writeable
         np.testing.assert_array_equal(getattr(found, name), getattr(series, name))
+
+
+def test_values_by_columns_are_kept_by_rows():
+    """As a frame's are; kernels would be compiled anew for them."""
+    table = np.asfortranarray(np.arange(12.0).reshape(6, 2))
+    series = Series(table, u=table[::-1], extra=table)
+    for values in (series.y, series.u, series.extra, series.u_step):
+        assert values.flags.c_contiguous
+    np.testing.assert_array_equal(series.y, table)
+    np.testing.assert_array_equal(series.u, table[::-1])
