@@ -85,7 +85,7 @@ def best_beginning(
 def _choice_cost(begun: Round) -> float:
     """What an effect must gain as the best of all that were screened, where nothing more was asked for.
 
-    The larger of n values of chi-squared with one degree of freedom are near 2 log n (Chen, Chen 2008).
+    The largest of n values of chi-squared with one degree of freedom is near 2 log n (Chen, Chen 2008).
     """
     return 2.0 * float(np.log(max(len(begun.screen.scores), 1)))
 
