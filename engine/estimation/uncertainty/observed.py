@@ -199,7 +199,7 @@ def standard_errors(
     decrement = max(decrement, away)
     failed = said_of_failure(found)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not (away or drawn or failed)
-    warning = failed or ("" if settled else _warning(found, decrement, drawn))
+    warning = failed or ("" if settled else _warning(found, decrement, drawn, bool(said)))
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     mean = scores.mean(axis=0)
@@ -365,12 +365,20 @@ def _said_of_noise(relative: Array) -> str:
     )
 
 
-def _warning(found: Estimate | None, decrement: float, drawn: list[str]) -> str:
+def _warning(
+    found: Estimate | None, decrement: float, drawn: list[str], by_moments: bool = False
+) -> str:
     said = (
         f"These are no standard errors of an estimate: the likelihood rises from here to a maximum some "
         f"{np.sqrt(decrement):.2g} of them away. Let the estimation go on (more iterations, resume=), or "
         "start it elsewhere."
     )
+    if by_moments:
+        said = (
+            "These may be no standard errors of an estimate: the moment filter's likelihood, exact for linear "
+            f"models only, has a maximum some {np.sqrt(decrement):.2g} of them away; particles scatter "
+            "too much to tell."
+        )
     if drawn:
         said = (
             f"These are no standard errors of an estimate: the likelihood rises away from the bound of "

@@ -77,6 +77,9 @@ def test_how_far_the_maximum_is_does_not_drown_with_the_scores():
     with pytest.warns(engine.NotSettledWarning):
         stated = engine.standard_errors(model, off, series, n_particles=50, n_trajectories=50)
     assert "too noisy here to check" in stated.warning
+    assert (
+        "the moment filter's likelihood" in stated.warning
+    )  # whose maximum it is that is 2 errors away
     assert stated.decrement == pytest.approx(4.0, rel=0.3)
 
 
