@@ -170,12 +170,11 @@ def add_to_state(
     target: str,
     term: Callable[[Values, Sequence[Any]], Any],
     needs: Sequence[str] = (),
-    smooth: bool = True,
 ) -> MixedModel:
     """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted.
 
     Of a continuous model half of it comes before the step and half after it (Strang 1968), each midway of its
-    own push. All of it comes before where linear states move what a term that is not ``smooth`` depends on.
+    own push.
     """
     base = promote(model, needs)
     split = Split(model)
@@ -195,17 +194,11 @@ def add_to_state(
         f, A, Q = pushed(base, {row: push}, a, u, t, dt, own_base)
         columns = [i for i, name in enumerate(base.nonlinear) if name in read]
         moved = np.broadcast_to(A[..., columns, :].any(axis=(-2, -1)), (len(a),))
-        if moved.any() and not smooth:
-            push = np.where(moved, dt * _midway(rate, a, dt, row), push)
-            f, A, Q = pushed(base, {row: push}, a, u, t, dt, own_base)
         after = half * _midway(rate, f[:, : base.na], half, row)
-        if not moved.any():
-            f[:, row] += after
-        elif smooth:
+        if moved.any():
             linear, A = _pushed_linearly(rate, f, A, a, half, row, columns)
-            f[:, row] += np.where(moved, linear, after)
-        else:
-            f[:, row] += np.where(moved, 0.0, after)
+            after = np.where(moved, linear, after)
+        f[:, row] += after
         return f, A, Q
 
     return on_base(base, split, dynamics=dynamics)

@@ -70,9 +70,7 @@ def _with_limit(model: MixedModel, setting: Setting, source: str, target: str) -
 
     What stands above the limit after the step must be known: linear states that feed the store are promoted.
     """
-    states = list(setting.states)
-    feeds, _ = setting.feeds
-    fed = [states[j] for j in np.flatnonzero(feeds[states.index(source)])]
+    fed = setting.feeding(source)
     needs = [name for name in model.linear if name == source or name in fed]
     base = promote(model, needs)
     split = Split(base)

@@ -336,6 +336,12 @@ class Setting:
         points, theta = self.points(self.model)
         return feeding(self.model, theta, points)
 
+    def feeding(self, state: str) -> list[str]:
+        """The states that feed a state within a step, itself among them where it does."""
+        feeds, _ = self.feeds
+        states = list(self.states)
+        return [states[j] for j in np.flatnonzero(feeds[states.index(state)])]
+
     @cached_property
     def moved(self) -> tuple[str, ...]:
         """States that an input or another state moves: not disturbances of their own."""

@@ -9,20 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import (
-    Effect,
-    Split,
-    add_linear_coupling,
-    add_to_state,
-    on_base,
-    pushed,
-)
+from engine.diagnose.effects.effect import Effect, add_linear_coupling, add_to_state
+from engine.diagnose.effects.friction import rub
 from engine.diagnose.effects.kinds import Kind, at_pairs, at_states, each_pair
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import USUAL, Traits
-from engine.statespace.model import Array, MixedModel, Parameter
-from engine.statespace.promotion import promote
+from engine.statespace.model import MixedModel, Parameter
 from engine.units import product
 
 ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
@@ -39,12 +32,12 @@ def _static(
     power: float,
     look_alikes: dict[str, str],
     width: bool = False,
-    smooth: bool = True,
+    friction: bool = False,
     traits: Traits = USUAL,
 ) -> Kind:
     """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
 
-    ``width`` adds a scale parameter.
+    ``width`` adds a scale parameter. Of a dry ``friction`` the term is the size, whose sign is against x.
     """
 
     def make(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
@@ -60,12 +53,14 @@ def _static(
             widths = [(setting.distance(source, level),) for level in WIDTHS]
 
         def extend(model: MixedModel) -> MixedModel:
+            def sized(x: Any, own: Sequence[Any]) -> Any:
+                return own[0] * term(x, own[1:])
+
+            if friction:
+                fed = [one for one in setting.feeding(source) if one in setting.moved]
+                return rub(model, source, target, fed, sized, origin.of)
             return add_to_state(
-                model,
-                target,
-                lambda v, own: own[0] * term(v[source] - origin.of(own), own[1:]),
-                needs=(source,),
-                smooth=smooth,
+                model, target, lambda v, own: sized(v[source] - origin.of(own), own), (source,)
             )
 
         return Effect(
@@ -73,7 +68,8 @@ def _static(
             channel,
             "state",
             f"{title} of {source}" + _acting_on(source, target),
-            f"{target}' = ... + dt * {name} * {formula.format(x=origin.text(source))}",
+            f"{target}' = ... {'-' if friction else '+'} dt * {name} * "
+            f"{formula.format(x=origin.text(source))}",
             extend=extend,
             look_alikes=look_alikes,
             traits=traits,
@@ -85,57 +81,6 @@ def _static(
 
 def _acting_on(source: str, target: str) -> str:
     return "" if source == target else f" on {target}"
-
-
-def _coulomb(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
-    """Friction of constant size against the motion, which it may stop, not reverse.
-
-    Half before the step of a continuous model, half after it: where other forces turn the motion within a step
-    the friction turns with it.
-    """
-    origin = Origin(setting, name, source)
-
-    def extend(model: MixedModel) -> MixedModel:
-        base = promote(model, (source,))
-        split, column = Split(model), list(base.nonlinear).index(source)
-        row = [*base.nonlinear, *base.linear].index(target)
-
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            record, own = split(theta)
-
-            def rubbed(a: Array, h: Any) -> Any:
-                """The push of a friction that acts for h seconds."""
-                speed = a[:, column] - origin.of(own)
-                push = -h * own[0] * np.sign(speed)
-                stops = np.minimum(np.abs(push), np.abs(speed))
-                return np.sign(push) * stops if source == target else push
-
-            if not base.continuous:
-                return pushed(base, {row: rubbed(a, dt)}, a, u, t, dt, record)
-            push = rubbed(a, 0.5 * dt)
-            f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
-            moved = np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),))
-            if moved.any():  # a mean over linear states does not say which way the friction is
-                push = np.where(moved, rubbed(a, dt), push)
-                f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
-            after = np.where(moved, 0.0, rubbed(f, 0.5 * dt))
-            f[:, row] += after
-            return f, A, Q
-
-        return on_base(base, split, dynamics=dynamics)
-
-    size = Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia")
-    return Effect(
-        "coulomb",
-        channel,
-        "state",
-        f"Coulomb friction of {source}" + _acting_on(source, target),
-        f"{target}' = ... - dt * {name} * sign({origin.text(source)})",
-        extend=extend,
-        look_alikes={"drag": ODD, "stribeck": ODD, "deadzone": ODD},
-        traits=FRICTION,
-        **origin.counted(size),
-    )
 
 
 def _force(setting: Setting, channel: str, name: str) -> Effect:
@@ -232,16 +177,25 @@ KINDS: list[Kind] = [
         {"cubic": ODD, "coulomb": ODD},
         traits=FRICTION,
     ),
-    at_pairs("coulomb", _coulomb, each_pair),
+    _static(
+        "coulomb",
+        "Coulomb friction",
+        "sign({x})",
+        lambda x, own: 1.0,
+        0,
+        {"drag": ODD, "stribeck": ODD, "deadzone": ODD},
+        friction=True,
+        traits=FRICTION,
+    ),
     _static(
         "stribeck",
         "Stribeck friction",
-        "-sign({x}) exp(-|{x}|/w)",
-        lambda x, own: -np.sign(x) * np.exp(-np.abs(x) / own[0]),
+        "sign({x}) exp(-|{x}|/w)",
+        lambda x, own: np.exp(-np.abs(x) / own[0]),
         0,
         {"coulomb": "does not fade with speed"},
         width=True,
-        smooth=False,
+        friction=True,
         traits=replace(FRICTION, contains=("coulomb",)),
     ),
     _static(
