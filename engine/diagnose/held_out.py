@@ -25,7 +25,8 @@ from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Verdict
 from engine.diagnose.search.found import Search
-from engine.diagnose.search.pipeline import NAMES, Causes, has_tails
+from engine.diagnose.search.judgement import NAMES, has_tails
+from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round, settle
 from engine.diagnose.search.verdict import named_by, names_of

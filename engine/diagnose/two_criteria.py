@@ -30,7 +30,8 @@ from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.pipeline import ENOUGH, NAMES, Causes, Clock, find_causes, fit_base
+from engine.diagnose.search.judgement import ENOUGH, NAMES
+from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.distributions import chi2_sf
 from engine.errors import EngineError

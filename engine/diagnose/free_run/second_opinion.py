@@ -35,7 +35,8 @@ from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.pipeline import NAMES, Causes
+from engine.diagnose.search.judgement import NAMES
+from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit

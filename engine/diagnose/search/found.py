@@ -19,7 +19,8 @@ class Search:
     ``of_the_steps`` is what a last round would have found, where shorter steps explain it; ``unweighed`` are
     choices that were not weighed beside the effects found after them. ``as_well`` are effects that together
     explain as much as those found in turn, and are others. ``by_the_steps`` decide the first round, so that
-    it ended there, to be begun with shorter ones.
+    it ended there, to be begun with shorter ones. ``begun`` is the first round as it was found, with nothing
+    beside it; ``small_rest`` where what was seen after it is left without a name.
     """
 
     base: QuasiFit
@@ -30,6 +31,8 @@ class Search:
     unweighed: tuple[str, ...] = ()
     as_well: tuple[str, ...] = ()
     by_the_steps: bool = False
+    begun: Round | None = None
+    small_rest: bool = False
 
     @property
     def named(self) -> tuple[Refit, ...]:

@@ -74,12 +74,20 @@ class LackOfFit:
     @property
     def sentence(self) -> str:
         """For the notes of a diagnosis."""
+        return f"{self._left}: the cause has another shape than any in the catalogue."
+
+    @property
+    def of_a_rest(self) -> str:
+        """The same where it is a small part of what was wrong."""
+        return f"{self._left}: a small part of what was wrong, which leaves the cause its name."
+
+    @property
+    def _left(self) -> str:
         product = " * ".join(self.largest)
         return (
             f"Beside what was found, something that depends on the states is left on {self.target} (a "
             f"polynomial of {self.terms} terms would gain a likelihood ratio of {self.statistic:.0f}, "
-            f"{probability(self.p_value, self.at_floor)}; most of it by {product}): the cause has another "
-            "shape than any in the catalogue."
+            f"{probability(self.p_value, self.at_floor)}; most of it by {product})"
         )
 
 

@@ -16,41 +16,30 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
-from engine.diagnose.screening.tails import OUTLYING
-from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.contradictions import already_there, folded, undetermined
 from engine.diagnose.search.event_time import times_as_likely
 from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
-from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
-from engine.diagnose.search.rounds import settle
+from engine.diagnose.search.judgement import ENOUGH, NAMES, has_tails, judged
 from engine.diagnose.search.search import LATER, search
-from engine.diagnose.search.step_error import decides, steps_for_sizes
-from engine.diagnose.search.verdict import doubts, verdict_of
+from engine.diagnose.search.small_rest import first_alone
+from engine.diagnose.search.step_error import steps_for_sizes
 from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only
-from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done, whitening
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.estimation.start import WarmStart
-from engine.filters.sigma_point import moment_path
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 from engine.ties import flat_directions, ties_in_words
 from engine.words import enumerated
 
 # nats below the highest maximum, another one is kept for what an effect may make of it
 RIVALS = 20.0
-MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
-MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
 # For progress: of the fits of a continuous model, the first; of a fit, the search for its start.
 FIRST_FIT_SHARE, START_SHARE = 0.5, 0.6
 
-# Steps a sample, with which names that they decide between are left as a set, and sizes as they are; but not
-# those of a first round, where no search has to be made anew for it.
-ENOUGH, AT_FIRST = 4, 8
-
-NAMES = (Verdict.NAMED, Verdict.SET)
+AT_FIRST = 8  # steps a sample to which a first round is left: no search has to be made anew for it
 
 Callback = Callable[[str, float], Any]
 
@@ -144,57 +133,18 @@ def find_causes(  # noqa: PLR0913
         found = other.search
         notes.append(other.note)
     clock.progress("contradictions", 0.0)
-    found, worth = _widened(found, series, setting, kept)
-    if worth:
-        notes.append(
-            "What the steps of the model get wrong is worth as much as the lead of a name over others "
-            f"(2 x log-likelihood {worth:.0f}): those within it are not told apart."
-        )
-    verdict = verdict_of(found, alpha)
-    if aside is not None and not aside.others and verdict in NAMES:
-        verdict = Verdict.UNKNOWN
-    notes.extend(doubts(found, alpha))
-    if found.of_the_steps:
-        notes.append(
-            f"Beside what was found, {found.of_the_steps} seemed to be seen. Most of it is gone with steps of "
-            "the model half as long: it is what the steps get wrong, and no effect of its own. "
-            "Likelihoods gained are those of the shorter steps, sizes those of the longer."
-        )
-    if found.unweighed:
-        notes.append(
-            f"Not compared with rivals beside all that was found: {', '.join(found.unweighed)}. Fits of "
-            "several effects at once took too many iterations; the rivals are those of the round that found it."
-        )
-    if found.as_well:
-        notes.append(
-            f"{enumerated(list(found.as_well))} together explain the data as well as what was found, and are "
-            "other causes: these data do not tell which it is."
-        )
-        verdict = Verdict.UNKNOWN
-    named = [r for r in found.rounds if r.equivalent]
-    own_terms = already_there(named)
-    against = [
-        *undetermined(named),
-        *own_terms.values(),
-        *folded(named, series, setting),
-        *outliers_at_inputs(named, base, series, seed),
-    ]
-    if against:
-        notes.extend(against)
-        verdict = Verdict.UNKNOWN
-    # beside an error of the steps every shape is in doubt
-    doubted = verdict not in NAMES or settled or bool(found.of_the_steps)
-    shape = None if doubted else _shape_left(found, series, setting, seed)
-    if shape is not None:
-        notes.append(shape)
-        verdict = Verdict.UNKNOWN
-    level = misfit(found.final, series, outliers=has_tails(found))
-    if level > MISFIT:
-        notes.append(
-            f"One-step errors are {_times(np.sqrt(level))} what the model's noise allows, after "
-            "everything that was found: the model is far from these data, or badly started (theta=)."
-        )
-        verdict = Verdict.UNKNOWN
+    unnamed = aside is not None and not aside.others  # only a controller may have been seen
+    judge = partial(
+        judged, base, series, setting, alpha=alpha, seed=seed, unnamed=unnamed, read=settled
+    )
+    said = judge(found, kept=kept)
+    if said.verdict is Verdict.UNKNOWN and not settled:
+        alone = first_alone(found, series)
+        if alone is not None:
+            instead = judge(alone, kept=kept.apart("first alone"))
+            said = instead if instead.verdict in NAMES else said
+    found, verdict = said.search, said.verdict
+    notes.extend(said.notes)
     if verdict not in NAMES:
         left = noise_left_to_states(base, series)
         notes.extend([left] if left else [])
@@ -202,14 +152,20 @@ def find_causes(  # noqa: PLR0913
         notes.extend(times_as_likely(found, series))
     kinds = effects if aside is None else aside.others
     # what steps get wrong has a shape of its own
-    sized = verdict in NAMES or shape is not None
+    sized = verdict in NAMES or said.another_shape
     steps = _steps(found, series, setting, kept) if sized else series.substeps
     clock.stop()
-    coarse, another = worth > 0.0, shape is not None
-    # what shows only beside a term of the model acts elsewhere than its name says
-    refuted = tuple(r.refits[0].effect.name for r in named) if own_terms else ()
     return Causes(
-        base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another, refuted
+        base,
+        setting,
+        found,
+        verdict,
+        tuple(notes),
+        steps,
+        said.coarse,
+        kinds,
+        said.another_shape,
+        said.refuted,
     )
 
 
@@ -271,29 +227,6 @@ def _as_said(first: Effect, found: Search, series: Series) -> tuple[QuasiFit, Se
     return found.final, series
 
 
-def _widened(found: Search, series: Series, setting: Setting, kept: Kept) -> tuple[Search, float]:
-    """The search with a first round that names all between which the error of the steps may decide.
-
-    And what that error is worth, 0 where it decides nothing.
-    """
-    named = [r for r in found.rounds if r.equivalent]
-    if not named or has_tails(found) or found.of_the_steps:
-        return found, 0.0
-    first, names = named[0], [r.refits[0].effect.name for r in named]
-    try:
-        worth = decides(
-            first, names, found.final, series, setting, kept.within("half steps"), ENOUGH
-        )
-    except (EngineError, np.linalg.LinAlgError):
-        return found, 0.0
-    if not worth:
-        return found, 0.0
-    refits = [*first.refits, *([] if first.generic is None else [first.generic])]
-    wide = settle(first.screen, refits, series, setting, worth)
-    at = found.rounds.index(first)
-    return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :])), worth
-
-
 def _steps(found: Search, series: Series, setting: Setting, kept: Kept) -> int:
     """How many steps a sample the sizes of what was named need, up to ENOUGH."""
     if has_tails(found):  # outliers are judged by a filter of their own
@@ -303,21 +236,6 @@ def _steps(found: Search, series: Series, setting: Setting, kept: Kept) -> int:
         return steps_for_sizes(names, found.final, series, setting, ENOUGH, kept)
     except (EngineError, np.linalg.LinAlgError):
         return series.substeps
-
-
-def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> str | None:
-    """A sentence where what is left beside the named effects depends on the states.
-
-    On the states that they push, where they do: it is their shape that is in doubt.
-    """
-    if has_tails(found):  # the moment filter does not see outliers
-        return None
-    named = [r.refits[0].effect for r in found.rounds if r.equivalent]
-    pushed = {e.channel.rpartition("->")[2] for e in named if e.family == "state"}
-    targets = [name for name in setting.targets if name in pushed] or setting.targets
-    states = [name for name in setting.states if name not in setting.model.scale_states]
-    lacks = lack_of_fit(found.final, series, targets, states, seed)
-    return lacks.sentence if lacks is not None and lacks.p_value <= LEVEL else None
 
 
 def fit_base(
@@ -354,23 +272,6 @@ def fit_base(
     return replace(fit, rivals=tuple(tuple(map(float, other)) for other in others))
 
 
-def has_tails(found: Search) -> bool:
-    """Whether outliers are among what was found."""
-    return any(r.refits[0].effect.traits.outliers for r in found.rounds if r.equivalent)
-
-
-def misfit(fit: QuasiFit, series: Series, outliers: bool = False) -> float:
-    """Mean squared standardised innovation: about 1 where the model's noise explains the data.
-
-    With ``outliers`` the values that only they explain are left out.
-    """
-    path = moment_path(fit.model, np.asarray(fit.theta), series)
-    root = whitening(path.S, series.observed)
-    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
-    usual = np.abs(z) < OUTLYING if outliers else np.ones_like(z, dtype=bool)
-    return float((z[usual] ** 2).sum() / max(int((series.observed & usual).sum()), 1))
-
-
 class Clock:
     """Seconds per stage, and progress for the caller."""
 
@@ -399,8 +300,3 @@ class Clock:
         """Tell the caller, who may stop the run by raising StopIteration."""
         if self.callback is not None:
             self.callback(stage, fraction)
-
-
-def _times(factor: float) -> str:
-    """A ratio as one says it."""
-    return f"{factor:.1f} times" if factor < MANY else f"more than {MANY:.0f} times"

@@ -403,6 +403,16 @@ def _best_row(
     return np.asarray(thetas[int(np.argmax(values))])
 
 
+def finished(
+    fit: QuasiFit, series: Series, told: Callable[[int], object] | None = None
+) -> QuasiFit:
+    """A refit to the usual tolerance; as it is where its likelihood is on an edge."""
+    try:
+        return quasi_ml(fit.model, series, fit.theta, fit.free, callback=told)
+    except EngineError:
+        return fit
+
+
 def held_out_terms(fit: QuasiFit, series: Series) -> Array:
     """One-step predictive log-densities (T,) of a series under a fitted model."""
     return fit.log_terms(series)

@@ -47,7 +47,7 @@ from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.elsewhere import from_elsewhere
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.joint_refit import STAGE, look_back
-from engine.diagnose.search.refits import Refit, cost, with_tails
+from engine.diagnose.search.refits import Refit, cost, finished, with_tails
 from engine.diagnose.search.refitting import (
     FOLLOWED,
     confirmed,
@@ -107,7 +107,7 @@ def search(  # noqa: PLR0913
     def beside(rival: Refit) -> Screen:
         progress(ANEW, 0.0)
         fit = kept.within(f"beside {rival.effect.name}").fit(
-            rival.fit.model, partial(_finished, rival.fit, series, lambda k: None)
+            rival.fit.model, partial(finished, rival.fit, series)
         )
         return _screened(series, setting, LATER * alpha, seed + 1, None, silent, fit, kinds)
 
@@ -149,7 +149,7 @@ def _one_after_the_other(  # noqa: PLR0913
         rounds.append(first)
         best = first.refits[0].fit
         told = _iterations(progress, "refit", FOLLOWED)
-        fit = kept.within("round 1").fit(best.model, partial(_finished, best, series, told))
+        fit = kept.within("round 1").fit(best.model, partial(finished, best, series, told))
     for k in range(len(rounds), max_effects + 1):
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
@@ -198,7 +198,7 @@ def _one_after_the_other(  # noqa: PLR0913
                 rounds[-1] = ranked_anew(last, gained, earlier, series, setting, here)
                 best = rounds[-1].refits[0].fit
                 told = _iterations(progress, "refit", FOLLOWED)
-                fit = here.fit(best.model, partial(_finished, best, series, told))
+                fit = here.fit(best.model, partial(finished, best, series, told))
         if not alarm:
             rounds.append(replace(found, refits=(), generic=None, equivalent=()))
             break
@@ -211,7 +211,7 @@ def _one_after_the_other(  # noqa: PLR0913
         if not found.refits[0].effect.traits.outliers:
             best = found.refits[0].fit
             told = _iterations(progress, "refit", FOLLOWED)
-            fit = here.fit(best.model, partial(_finished, best, series, told))
+            fit = here.fit(best.model, partial(finished, best, series, told))
             continue
         # the moment filter does not see outliers, so they are taken out before it looks again
         tails, alarm = found.refits[0], False
@@ -234,9 +234,10 @@ def _one_after_the_other(  # noqa: PLR0913
         fit, named, unweighed = look_back(base, named, series, setting, kept, among, anew)
         rounds[: len(named)] = named
         told = _iterations(progress, STAGE, LOOKED_BACK)
-        fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series, told))
+        fit = kept.within("finally").fit(fit.model, partial(finished, fit, series, told))
     if tails is None:
-        return Search(base, fit, tuple(rounds), alarm, explained, unweighed), begun
+        ended = Search(base, fit, tuple(rounds), alarm, explained, unweighed, begun=begun)
+        return ended, begun
     final = tails.fit if series is whole else _told_again(fit, tails, whole)
     if of_state is not None:
         better = of_state.better(rounds[of_state.place :], final, whole)
@@ -355,14 +356,6 @@ def _by_rounds(progress: Progress, begin: float, most: int) -> Progress:
 def _iterations(progress: Progress, stage: str, begin: float) -> Callable[[int], Any]:
     """For the iterations of a fit that ends a stage."""
     return lambda k: progress(stage, begin + (1.0 - begin) * share_done(k))
-
-
-def _finished(fit: QuasiFit, series: Series, told: Callable[[int], Any]) -> QuasiFit:
-    """A refit to the usual tolerance; as it is where its likelihood is on an edge."""
-    try:
-        return quasi_ml(fit.model, series, fit.theta, fit.free, callback=told)
-    except EngineError:
-        return fit
 
 
 def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> Series:

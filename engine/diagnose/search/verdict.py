@@ -75,9 +75,28 @@ def doubts(search: Search, alpha: float) -> list[str]:
         out.append(
             f"Something more is seen one step ahead beside {names} ({p}), and {why}: no name is trusted."
         )
+    elif search.small_rest:
+        out.append(_more(search.rounds[-1].screen, names))
     elif named and not search.of_the_steps and not search.rounds[-1].equivalent:
         out.extend(_perhaps_more(search.rounds[-1].screen, names, alpha))
     return out
+
+
+def _more(left: Screen, names: str) -> str:
+    """A sentence on a small rest that has no name."""
+    p = probability(left.p_value, left.at_floor)
+    return (
+        f"Something more is seen beside {names} ({p}), a small part of what was wrong, and nothing settles "
+        f"what it is{_nearest(left)}. It may be how the data were made: a clock, another program's steps."
+    )
+
+
+def _nearest(left: Screen) -> str:
+    """What a screen's best tests look like, in words after a sentence; "" where nothing was tested."""
+    tested = [s for s in left.scores if not (s.effect.traits.unnamed or s.effect.traits.outliers)]
+    nearest = sorted(tested, key=lambda s: (s.p_value, s.effect.name))[:NEAREST]
+    names = [s.effect.name for s in nearest]
+    return f": it looks most like {enumerated(names, 'or')}" if names else ""
 
 
 def _perhaps_more(left: Screen, names: str, alpha: float) -> list[str]:
@@ -88,13 +107,10 @@ def _perhaps_more(left: Screen, names: str, alpha: float) -> list[str]:
     """
     if left.p_value > alpha:
         return []
-    tested = [s for s in left.scores if not (s.effect.traits.unnamed or s.effect.traits.outliers)]
-    nearest = sorted(tested, key=lambda s: (s.p_value, s.effect.name))[:NEAREST]
-    like = f": it looks most like {enumerated([s.effect.name for s in nearest], 'or')}"
     p = probability(left.p_value, left.at_floor)
     return [
         f"Something more may be there beside {names} ({p}), less clearly seen than a further effect must be"
-        f"{like if nearest else ''}. To ask about it by itself, diagnose the extended model."
+        f"{_nearest(left)}. To ask about it by itself, diagnose the extended model."
     ]
 
 

@@ -1,0 +1,179 @@
+"""What is said of a search: its names, or why none of them is trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.tails import OUTLYING
+from engine.diagnose.search.at_inputs import outliers_at_inputs
+from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.search.contradictions import already_there, folded, undetermined
+from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.found import Search
+from engine.diagnose.search.lack_of_fit import LEVEL, LackOfFit, lack_of_fit
+from engine.diagnose.search.rounds import settle
+from engine.diagnose.search.small_rest import is_small
+from engine.diagnose.search.step_error import decides
+from engine.diagnose.search.verdict import doubts, verdict_of
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, whitening
+from engine.filters.sigma_point import moment_path
+from engine.words import enumerated
+
+NAMES = (Verdict.NAMED, Verdict.SET)
+MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
+MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
+# Steps a sample, with which names that they decide between are left as a set, and sizes as they are.
+ENOUGH = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A search, its first round as wide as its steps allow, what it comes to, and why."""
+
+    search: Search
+    verdict: Verdict
+    notes: tuple[str, ...]
+    coarse: bool
+    another_shape: bool
+    refuted: tuple[str, ...]
+
+
+def judged(
+    base: QuasiFit,
+    series: Series,
+    setting: Setting,
+    found: Search,
+    *,
+    alpha: float,
+    seed: int,
+    kept: Kept,
+    unnamed: bool,
+    read: bool,
+) -> Judged:
+    """What is said of a search: its names, or why none of them is trusted.
+
+    None is where ``unnamed``; and how the record was ``read`` may be all that was found.
+    """
+    notes = []
+    found, worth = _widened(found, series, setting, kept)
+    if worth:
+        notes.append(
+            "What the steps of the model get wrong is worth as much as the lead of a name over others "
+            f"(2 x log-likelihood {worth:.0f}): those within it are not told apart."
+        )
+    verdict = verdict_of(found, alpha)
+    if unnamed and verdict in NAMES:
+        verdict = Verdict.UNKNOWN
+    notes.extend(doubts(found, alpha))
+    if found.of_the_steps:
+        notes.append(
+            f"Beside what was found, {found.of_the_steps} seemed to be seen. Most of it is gone with steps of "
+            "the model half as long: it is what the steps get wrong, and no effect of its own. "
+            "Likelihoods gained are those of the shorter steps, sizes those of the longer."
+        )
+    if found.unweighed:
+        notes.append(
+            f"Not compared with rivals beside all that was found: {', '.join(found.unweighed)}. Fits of "
+            "several effects at once took too many iterations; the rivals are those of the round that found it."
+        )
+    if found.as_well:
+        notes.append(
+            f"{enumerated(list(found.as_well))} together explain the data as well as what was found, and are "
+            "other causes: these data do not tell which it is."
+        )
+        verdict = Verdict.UNKNOWN
+    named = [r for r in found.rounds if r.equivalent]
+    own_terms = already_there(named)
+    against = [
+        *undetermined(named),
+        *own_terms.values(),
+        *folded(named, series, setting),
+        *outliers_at_inputs(named, base, series, seed),
+    ]
+    if against:
+        notes.extend(against)
+        verdict = Verdict.UNKNOWN
+    # beside an error of the steps every shape is in doubt
+    doubted = verdict not in NAMES or read or bool(found.of_the_steps)
+    shape = None if doubted else _shape_left(found, series, setting, seed)
+    if shape is not None and is_small(shape.statistic, found):
+        notes.append(shape.of_a_rest)
+        shape = None
+    if shape is not None:
+        notes.append(shape.sentence)
+        verdict = Verdict.UNKNOWN
+    level = misfit(found.final, series, outliers=has_tails(found))
+    if level > MISFIT:
+        notes.append(
+            f"One-step errors are {_times(np.sqrt(level))} what the model's noise allows, after "
+            "everything that was found: the model is far from these data, or badly started (theta=)."
+        )
+        verdict = Verdict.UNKNOWN
+    # what shows only beside a term of the model acts elsewhere than its name says
+    refuted = tuple(r.refits[0].effect.name for r in named) if own_terms else ()
+    return Judged(found, verdict, tuple(notes), worth > 0.0, shape is not None, refuted)
+
+
+def _widened(found: Search, series: Series, setting: Setting, kept: Kept) -> tuple[Search, float]:
+    """The search with a first round that names all between which the error of the steps may decide.
+
+    And what that error is worth, 0 where it decides nothing.
+    """
+    named = [r for r in found.rounds if r.equivalent]
+    if not named or has_tails(found) or found.of_the_steps:
+        return found, 0.0
+    first, names = named[0], [r.refits[0].effect.name for r in named]
+    try:
+        worth = decides(
+            first, names, found.final, series, setting, kept.within("half steps"), ENOUGH
+        )
+    except (EngineError, np.linalg.LinAlgError):
+        return found, 0.0
+    if not worth:
+        return found, 0.0
+    refits = [*first.refits, *([] if first.generic is None else [first.generic])]
+    wide = settle(first.screen, refits, series, setting, worth)
+    at = found.rounds.index(first)
+    return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :])), worth
+
+
+def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> LackOfFit | None:
+    """What is left beside the named effects and depends on the states, None without any.
+
+    On the states that they push, where they do: it is their shape that is in doubt.
+    """
+    if has_tails(found):  # the moment filter does not see outliers
+        return None
+    named = [r.refits[0].effect for r in found.rounds if r.equivalent]
+    pushed = {e.channel.rpartition("->")[2] for e in named if e.family == "state"}
+    targets = [name for name in setting.targets if name in pushed] or setting.targets
+    states = [name for name in setting.states if name not in setting.model.scale_states]
+    lacks = lack_of_fit(found.final, series, targets, states, seed)
+    return lacks if lacks is not None and lacks.p_value <= LEVEL else None
+
+
+def has_tails(found: Search) -> bool:
+    """Whether outliers are among what was found."""
+    return any(r.refits[0].effect.traits.outliers for r in found.rounds if r.equivalent)
+
+
+def misfit(fit: QuasiFit, series: Series, outliers: bool = False) -> float:
+    """Mean squared standardised innovation: about 1 where the model's noise explains the data.
+
+    With ``outliers`` the values that only they explain are left out.
+    """
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    root = whitening(path.S, series.observed)
+    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    usual = np.abs(z) < OUTLYING if outliers else np.ones_like(z, dtype=bool)
+    return float((z[usual] ** 2).sum() / max(int((series.observed & usual).sum()), 1))
+
+
+def _times(factor: float) -> str:
+    """A ratio as one says it."""
+    return f"{factor:.1f} times" if factor < MANY else f"more than {MANY:.0f} times"
