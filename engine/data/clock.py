@@ -19,6 +19,10 @@ WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
+EVEN, DIGITS = (
+    1e-6,
+    12,
+)  # of a step, by which those at one common step may differ; digits that one has
 ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
 
 
@@ -173,6 +177,37 @@ def _of_the_day(times: Array) -> bool:
     minutes = np.mod(times, 100.0)
     whole = np.array_equal(times, np.round(times))
     return bool(whole and times.min() >= 0.0 and times.max() < 2400.0 and minutes.max() < 60.0)
+
+
+def common_step(t: Array, begins: Sequence[int] = ()) -> float | None:
+    """The step at which all times t (T,) go on, but for those of rows ``begins``; None where there is none.
+
+    Of the step that the times show the fewest digits, up to DIGITS, that leave each within its rounding.
+    """
+    parts = np.split(t, begins) if len(begins) else [t]
+    steps = np.concatenate([np.diff(one) for one in parts])
+    if not steps.size:
+        return None
+    mean = float(steps.mean()) if len(begins) else float((t[-1] - t[0]) / len(steps))
+    rounding = rounding_of(t)
+
+    def on_time(step: float) -> bool:
+        off = (one - one[0] - step * np.arange(len(one)) for one in parts)
+        return all(bool((np.abs(x) <= rounding).all()) for x in off)
+
+    for digits in range(1, DIGITS + 1):
+        short = float(f"{mean:.{digits}g}")
+        if on_time(short):
+            return short
+    if not (on_time(mean) or np.allclose(steps, mean, rtol=EVEN, atol=0.0)):
+        return None
+    # as of times that were added up, where each step is rounded
+    return short if (np.abs(steps - short) <= rounding).all() else mean
+
+
+def rounding_of(t: Any) -> float:
+    """By how much differences of times t may be off: a clock that counts since 1970 tells 2e-7 s at best."""
+    return float(2.0 * np.finfo(float).eps * np.abs(t).max())
 
 
 def _check_step(times: Array, dt: float) -> None:

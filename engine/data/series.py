@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
-from engine.data.clock import check_same_rows, index_of, times_of
+from engine.data.clock import check_same_rows, common_step, index_of, times_of
 from engine.data.hold import HOLDS, between, means, over_steps
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND
@@ -199,15 +199,10 @@ class Series(Shown):
         """The common time step in ``time_unit``, or None where sampling is irregular.
 
         The number of twelve digits that the times allow, if there is one: 0.1, also of a part that begins
-        at 37.3, for a model may remember what belongs to a step.
+        at 37.3, for a model may remember what belongs to a step. Times far from 0, as since 1970, are at one
+        step where they are but for their rounding.
         """
-        steps = np.delete(np.diff(self.t).astype(float), np.array(self.begins, np.intp) - 1)
-        mean = float(steps.mean()) if self.begins else float((self.t[-1] - self.t[0]) / len(steps))
-        if not np.allclose(steps, mean, rtol=1e-6, atol=0.0):
-            return None
-        short = float(f"{mean:.12g}")
-        rounding = 2.0 * np.finfo(float).eps * np.abs(self.t).max()
-        return short if (np.abs(steps - short) <= rounding).all() else mean
+        return common_step(self.t, self.begins)
 
     @cached_property
     def usual_step(self) -> float:

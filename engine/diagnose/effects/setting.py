@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from engine.data.clock import rounding_of
 from engine.data.joined import anew, apart, overlapping, starts_of
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
@@ -183,7 +184,12 @@ class Setting:
 
     def anew(self, t: Any) -> Any:
         """Times (a number or (M,)) as if every record began with the first: what begins with one counts so."""
-        return anew(t, self.starts, ON_TIME * self.dt)
+        return anew(t, self.starts, self.early * self.dt)
+
+    @cached_property
+    def early(self) -> float:
+        """The share of a sample by which one may be off its time: more where times are rounded, far from 0."""
+        return ON_TIME + rounding_of(self.span) / self.dt
 
     @property
     def run(self) -> tuple[float, float]:
@@ -210,14 +216,14 @@ class Setting:
         if self.substeps == 1:
             return True
         phase = (t - self.span[0]) / self.dt
-        return np.abs(phase - np.rint(phase)) < ON_TIME + 1e-9 * np.abs(phase)
+        return np.abs(phase - np.rint(phase)) < self.early + 1e-9 * np.abs(phase)
 
     def part_of_sample(self, t: Any, dt: Any) -> tuple[Any, Any]:
         """From where to where of a sample, 0 to 1, a step from t goes; all of it unless times are refined."""
         if self.substeps == 1:
             return 0.0, 1.0
         phase = (t - self.span[0]) / self.dt
-        begin = np.maximum(phase - np.floor(phase + ON_TIME + 1e-9 * np.abs(phase)), 0.0)
+        begin = np.maximum(phase - np.floor(phase + self.early + 1e-9 * np.abs(phase)), 0.0)
         return begin, begin + dt / self.dt
 
     # ---- channels -----------------------------------------------------------------------------
@@ -373,9 +379,12 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         if step is not None and step >= VISIBLE * sample_noise(seen):
             resolution[name] = step
     t = series.t[rows]
-    steps = np.diff(t)
-    into = np.searchsorted(rows, np.array(series.begins, dtype=np.intp)) - 1
-    steps[into] = np.median(np.delete(steps, into))  # none is made into another record
+    if series.dt is not None:
+        steps = np.full(len(t) - 1, series.substeps * series.dt)
+    else:
+        steps = np.diff(t)
+        into = np.searchsorted(rows, np.array(series.begins, dtype=np.intp)) - 1
+        steps[into] = np.median(np.delete(steps, into))  # none is made into another record
     return Setting(
         model,
         {name: _spread(value) for name, value in values.items()},

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.clock import rounding_of
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend
 from engine.diagnose.effects.effect import Effect
@@ -120,7 +121,8 @@ def _regular(series: Series, other: Series) -> bool:
         return False
     phase = (float(other.t[0]) - float(series.t[0])) / series.dt
     same = other.dt is not None and abs(other.dt / series.dt - 1.0) < ON_TIME
-    return same and abs(phase - round(phase)) < ON_TIME
+    off = max(rounding_of(series.t), rounding_of(other.t)) / series.dt
+    return same and abs(phase - round(phase)) < ON_TIME + off
 
 
 def is_consistent(model: MixedModel, theta: Array, points: Points) -> bool:

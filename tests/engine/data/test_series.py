@@ -21,6 +21,28 @@ def test_all_steps_of_a_part_are_the_step_of_the_whole(dt):
         assert set(part.steps.tolist()) == {dt}
 
 
+@pytest.mark.parametrize("dt", [1.0, 0.05, 1e-3, 2e-5])
+def test_the_step_is_that_of_a_clock_from_0_where_times_count_since_1970(dt):
+    """Their rounding, 2e-7 s, is more than a millionth of a step of 0.2 s: it was no step any more."""
+    series = Series(np.zeros(400), t=1.7e9 + dt * np.arange(400))
+    for one in (series, series.part(37, 80), series.held("foh")):
+        assert one.dt == dt
+    assert series.refined(4).dt == dt / 4.0
+
+
+def test_two_records_on_such_a_clock_have_one_step():
+    t = 1.7e9 + 0.05 * np.r_[0:100, 40:90]
+    assert Series(np.zeros(150), t=t, begins=[100]).dt == 0.05
+
+
+@pytest.mark.parametrize("times", ["drawn", "slower"])
+def test_times_that_rounding_does_not_explain_are_at_no_step(times):
+    k = np.arange(400)
+    drawn = np.cumsum(np.random.default_rng(0).uniform(0.9, 1.1, 400))
+    course = {"drawn": drawn, "slower": k * (1.0 + 1e-5 * k)}[times]
+    assert Series(np.zeros(400), t=1.7e9 + 2e-5 * course).dt is None
+
+
 def test_times_and_a_step_that_do_not_agree_are_refused():
     with pytest.raises(
         SeriesError, match=r"row 1 to row 2 t goes on by 0\.3, and dt = 0\.1; give one"

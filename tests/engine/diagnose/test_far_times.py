@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import engine
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.search.pipeline import find_causes
 from engine.words import moment
 
@@ -59,6 +60,16 @@ def test_the_time_of_a_step_can_be_read_on_a_clock_that_began_in_1970(apart, tmp
     assert re.search(rf"step_flow_time +{when} +held", page)
     assert found.report(tmp_path / "a.html").read_text(encoding="utf-8").count(when) >= 2
     assert "e+09" not in page
+
+
+@pytest.mark.parametrize("apart", [1.0, 2e-3, 5e-5])
+def test_samples_are_told_from_the_steps_between_them_on_such_a_clock(apart):
+    series = engine.Series(np.zeros(200), t=1.7e9 + apart * np.arange(200.0)).refined(4)
+    setting = setting_for(LEVEL, series, LEVEL.theta())
+    assert setting.tells_samples
+    np.testing.assert_array_equal(np.flatnonzero(setting.at_sample(series.t)), series.samples)
+    begin, _ = setting.part_of_sample(series.t, setting.dt / 4.0)
+    np.testing.assert_allclose(begin, np.resize([0.0, 0.25, 0.5, 0.75], len(begin)), atol=0.01)
 
 
 @pytest.mark.parametrize(
