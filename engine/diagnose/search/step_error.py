@@ -185,7 +185,7 @@ def steps_for_sizes(
         theta = _same(extended, fit)
         again = _refitted(extended, fit, finer, kept)
         free = extended.free_indices(fit.free)
-        variance = np.diag(np.linalg.pinv(again.information, hermitian=True))
+        variance = np.diag(again.covariance)
         if ((np.asarray(again.theta) - theta)[free] ** 2 <= MOVED**2 * variance).all():
             break
         fit, series, k = again, finer, finer.substeps

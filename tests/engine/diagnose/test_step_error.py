@@ -23,6 +23,7 @@ from engine.diagnose.search.step_error import steps_for_sizes
 from engine.diagnose.search.substeps import can_be_finer
 from engine.estimation.quasi_ml import quasi_ml
 from engine.statespace.promotion import promote
+from tests.engine.other_units import Units
 
 DT = 0.05
 KINDS = ["drag", "cubic", "coulomb", "cubic-sensor", "gain", "saturation-sensor"]
@@ -224,6 +225,18 @@ def test_what_counts_samples_is_not_asked_of_shorter_steps_at_irregular_times():
     assert step_error.by_shorter_steps(9.0, setting, names, fit, apart, NOTHING) == 0.0
     assert step_error.decides(found, names, fit, apart, setting, NOTHING, 4) == 0.0
     assert steps_for_sizes(names, fit, apart, setting, 4, NOTHING) == 1
+
+
+@pytest.mark.parametrize(("drag", "steps"), [(1.5, 2), (0.3, 1)])
+def test_as_many_steps_in_units_far_apart(drag, steps):
+    """Small numbers were lost beside large ones in the information: any move was more than the error."""
+    mm, mv, one = np.array([1e3]), np.array([1e3]), 1.0 / 3600.0  # mm, mV, h
+    units = Units(mm, mm, mv, one, np.array([1e-6, 1e6, 1e-6, 1e6]))
+    model, series = units.model(DRIVE), units.series(measured(drag, 0.0))
+    setting = setting_for(model, series, model.theta())
+    size = drag / (1e3 * one)
+    fit = quasi_ml(extend(model, ["drag:speed"], setting), series, {"drag_speed": size})
+    assert steps_for_sizes(["drag:speed"], fit, series, setting, 4, NOTHING) == steps
 
 
 @pytest.mark.parametrize(("drag", "steps"), [(1.5, 2), (0.3, 1)])
