@@ -17,10 +17,11 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.free_function import free_function, hats, knots_of
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.search import GAINED, WORTH
-from engine.diagnose.free_run_fits.columns import CANNOT, run_of
+from engine.diagnose.free_run_fits.columns import CANNOT, run_of, slope
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, state_names, with_effects
 from engine.diagnose.free_run_fits.folds import folds_of, losses, p_better
 from engine.diagnose.free_run_fits.linear import orthonormal
+from engine.errors import ModelError
 from engine.simulation.sensitivities import Along
 from engine.statespace.model import Array
 from engine.words import percent
@@ -187,10 +188,13 @@ class _Push:
         self.fit = fit
         index = model.index(force.size.name)
         values = np.array([*fit.theta, *[0.0] * (len(model.parameters) - len(fit.theta))])
-        self.index, self.step = index, model.parameters[index].scale or 1.0
         self.along = [
             Along(model, values, one, run) for one, run in zip(fit.records, runs, strict=True)
         ]
+        found = slope(fit, model, self.along, index)
+        if found is None:
+            raise ModelError(f"a force on {target} moves nothing")
+        self.index, self.step = index, found[1]
 
     def columns(self, courses: list[Array]) -> Array:
         """d(simulated) / d(size) (n, K), weighed as the residuals, of forces (T, K) in each record."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +20,7 @@ from engine.statespace.model import Array, MixedModel, Theta
 
 SMALL = 0.01  # of the residuals: what the effect does over the distance of its differences
 LONGEST, SHORTEST = 0.1, 1e4  # that distance may be ten times as long, or be much shorter
-TRIALS = 6  # distances tried
+TRIALS, LEAP = 20, 1e-6  # distances tried, and how much shorter one may be than that before it
 # a candidate drops out; what a model raises is the first
 CANNOT = (EngineError, np.linalg.LinAlgError)
 
@@ -67,9 +67,9 @@ def _of(fit: Fitted, base: list[Along], effect: Effect) -> list[tuple[tuple[floa
         values[size + 1 : size + 1 + len(probe)] = probe
         theta = model.theta(values)
         along = _along(fit, base, model, theta, along)
-        g = None if along is None else _slope(fit, model, along)
-        if g is not None:
-            out.append((probe, g))
+        found = None if along is None else slope(fit, model, along, size)
+        if found is not None:
+            out.append((probe, found[0]))
     return out
 
 
@@ -113,11 +113,16 @@ def run_of(
     return states_of(model, model.record(theta), series, x1, guess)
 
 
-def _slope(fit: Fitted, model: MixedModel, along: list[Along]) -> Array | None:
-    """The column, by differences over a distance that does a small part of what is wrong."""
-    size = len(fit.theta)
-    h = model.parameters[size].scale or 1.0
-    place = np.array([size]), np.array([], dtype=np.intp)
+def slope(
+    fit: Fitted, model: MixedModel, along: Sequence[Along], index: int
+) -> tuple[Array, float] | None:
+    """The column of a parameter, and half the distance of its differences, in its unit; None for no influence.
+
+    Over that distance it does a small part of what is wrong. Where that is looked for an effect may grow with
+    its size far faster than in proportion to it, or be lost in rounding, whatever its unit.
+    """
+    h, found = model.parameters[index].scale or 1.0, None
+    place = np.array([index]), np.array([], dtype=np.intp)
     for _ in range(TRIALS):
         parts = []
         for one, own in zip(fit.records, along, strict=True):
@@ -126,13 +131,13 @@ def _slope(fit: Fitted, model: MixedModel, along: list[Along]) -> Array | None:
         g = np.concatenate(parts)
         level = float(np.sqrt(np.mean(g**2)))
         if not np.isfinite(level):
-            h *= 1e-3
+            h *= LEAP
             continue
         if level == 0.0:
-            h *= 1e3
+            h /= LEAP**0.5
             continue
-        wanted = SMALL * fit.rms / level
-        if not wanted > 0.0 or LONGEST < wanted / h < SHORTEST:
-            return g
-        h = wanted
-    return g if np.isfinite(g).all() and level > 0.0 else None
+        found, wanted = (g, h), SMALL * fit.rms / level
+        if wanted == 0.0 or LONGEST < wanted / h < SHORTEST:
+            break
+        h *= float(np.clip(wanted / h, LEAP, 1.0 / LEAP))
+    return found

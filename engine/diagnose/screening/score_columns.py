@@ -29,7 +29,7 @@ NEAR_SHARE = 0.9  # share of it that is near enough
 
 # of its own scatter, by which a prediction moves where a slope is taken: aimed at, and accepted
 AIMED_SHARE, SLIGHT_SHARES = 1e-4, (1e-7, 1e-2)
-TRIALS = 6
+TRIALS = 12  # steps tried: units may be far apart
 
 ATTEMPTS = 12  # at a step
 POWERS = (0.5, 2.0)  # of a size, to which predictions answer
@@ -183,8 +183,11 @@ def _slopes(
             float(np.abs(change / size).max(initial=0.0))
             for change, size in zip(changes, sizes, strict=True)
         )
-        if SLIGHT_SHARES[0] <= felt <= SLIGHT_SHARES[1] or not np.isfinite(felt):
+        if SLIGHT_SHARES[0] <= felt <= SLIGHT_SHARES[1]:
             break
+        if not np.isfinite(felt):  # so far off that it runs away, in the units of this model
+            step *= 1e-8
+            continue
         factor = AIMED_SHARE / felt if felt > 0.0 else 1e4
         if factor > 1.0 and step * factor > 0.5 * (upper - lower):
             break
