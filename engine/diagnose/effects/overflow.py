@@ -2,8 +2,9 @@
 
     x' = ... - size (x - L)+        other' = ... + share size (x - L)+
 
-Over a step the surplus decays, so that any rate can be stepped: size (x - L) dt becomes
-(x - L) (1 - exp(-size dt)), and a large size is a rim that nothing stands above.
+Of a level that is counted downward, as the depth below a rim, it is what is below: (x - L)-. Over a step the
+surplus decays, so that any rate can be stepped: size (x - L) dt becomes (x - L) (1 - exp(-size dt)), and a
+large size is a rim that nothing stands above.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from engine.diagnose.effects.setting import WIDEST, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
-from engine.units import product
+from engine.units import product, same_kind
 
-FULL = (0.7, 0.85, 0.95)  # shares of the record below the limits the screen looks at
-LOWEST = 0.02  # share of the record that is below any limit
+FULL = (0.7, 0.85, 0.95)  # shares of the record within the limits the screen looks at
+ABOVE, BELOW = 1.0, -1.0
 GONE = 20.0  # size times the time step at which nothing is left above the limit
 
 
 def _overflow(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect | None:
     """``x``: the surplus is lost; ``x->other``: a share of it arrives there."""
     unit, lost = setting.unit(source), source == target
-    low, high = setting.quantile(source, LOWEST), setting.quantile(source, 1.0)
+    low, high = setting.quantile(source, 0.0), setting.quantile(source, 1.0)
     if not low < high < np.inf:
         low, high = setting.inside(source)
     fastest = setting.limits(0.0, GONE / setting.dt, 0.0)
@@ -45,21 +46,26 @@ def _overflow(setting: Setting, channel: str, name: str, source: str, target: st
         share = product(setting.unit(target), (unit, -1.0))
         bounds, what = setting.limits(0.0, WIDEST * ratio, 0.0), f"{target} gained by what is lost"
         parameters.append(Parameter(f"{name}_share", rest[0], share, bounds, what))
+    parameters.append(Parameter(f"{name}_side", ABOVE, "1", (-1.0, 1.0), "1: above, -1: below"))
+    limits = [(setting.quantile(source, level), ABOVE) for level in FULL]
+    limits += [(setting.quantile(source, 1.0 - level), BELOW) for level in FULL]
     arrives = "" if lost else f",  {target}' = ... + {name}_share * the same"
     return Effect(
         "overflow",
         channel,
         "state",
         f"overflow of {source}" + ("" if lost else f" into {target}"),
-        f"{source}' = ... - dt * {name} * ({source} - {name}_limit)+{arrives}",
+        f"{source}' = ... - dt * {name} * (what of {source} is beyond {name}_limit, on {name}_side)"
+        f"{arrives}",
         tuple(parameters),
         lambda model: _with_limit(model, setting, source, target),
-        probes=tuple((setting.quantile(source, level), *rest) for level in FULL),
+        probes=tuple((limit, *rest, side) for limit, side in limits),
         look_alikes={
             "saturation": "acts on both sides of its zero",
             "drag": "acts on small values too",
             "saturation-sensor": "clips the reading, not what is read",
         },
+        held=(f"{name}_side",),
         one_sided=True,
         traits=Traits(suits="store"),
     )
@@ -80,7 +86,8 @@ def _with_limit(model: MixedModel, setting: Setting, source: str, target: str) -
 
     def moved(x: Any, time: Any, own: Any) -> dict[int, Any]:
         """What leaves the store in a time, and what arrives."""
-        surplus = np.maximum(x - own[1], 0.0) * -np.expm1(-own[0] * time)
+        above, below = np.maximum(x - own[1], 0.0), np.minimum(x - own[1], 0.0)
+        surplus = np.where(np.less(own[-1], 0.0), below, above) * -np.expm1(-own[0] * time)
         return {column: -surplus} | ({} if row == column else {row: own[2] * surplus})
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
@@ -104,7 +111,8 @@ def _each_store(setting: Setting) -> Iterator[str]:
         yield source
         for j, target in enumerate(states):
             fed = feeds[j, states.index(source)] and target in setting.targets
-            if fed and target != source and setting.unit(target) == setting.unit(source):
+            units = setting.unit(source), setting.unit(target)
+            if fed and target != source and (units[0] == units[1] or same_kind(*units)):
                 yield f"{source}->{target}"
 
 

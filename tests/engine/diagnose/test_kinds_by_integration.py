@@ -13,6 +13,7 @@ from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.symptoms.runs import noise_free
 from engine.filters.sigma_point import moment_filter
 from tests.engine.hidden_effects import DRIVE, DT, levels, smooth
+from tests.engine.other_units import Units
 from tests.engine.plain_models import pendulum, record, room
 
 
@@ -100,6 +101,20 @@ def test_an_overflow_is_its_differential_equation(into, linear):
     assert exact[:, 0].max() > limit + 0.1
     np.testing.assert_allclose(x["upper"], exact[:, 0], atol=2e-3)
     np.testing.assert_allclose(x["lower"], exact[:, 1], atol=2e-3)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("into", ["", "->lower"])
+def test_an_overflow_of_levels_that_are_counted_downward_is_the_same(into, linear):
+    series, name = swinging_levels(), f"overflow_upper{'__lower' if into else ''}"
+    own, start = {name: 3.0, f"{name}_limit": 2.0}, {"upper": 1.0, "lower": 1.0, "rain": 0.1}
+    model, effect = cascade(linear), f"overflow:upper{into}"
+    down = Units(np.array([-1.0, -1.0, 1.0]), -np.ones(1), np.ones(1), 1.0, np.ones(0)).model(model)
+    below = {name: 3.0, f"{name}_limit": -2.0, f"{name}_side": -1.0}
+    y, x = run(model, effect, own, series, start)
+    mirrored, _ = run(down, effect, below, series, start | {"upper": -1.0, "lower": -1.0})
+    assert x["upper"].max() > 2.0
+    np.testing.assert_allclose(mirrored, -y, atol=1e-9)
 
 
 def test_nothing_stands_above_a_rim_however_long_the_step():
