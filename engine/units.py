@@ -48,6 +48,7 @@ _PREFIXES = {
 }  # fmt: skip
 # C and F may also be a coulomb and a farad, g what things weigh, and turns a minute are written 1/min, too.
 _CELSIUS, _FAHRENHEIT = (1.0, {"degC": 1.0}), (1.0, {"degF": 1.0})
+_DEGREE = {"degC": 1.0, "degF": 5.0 / 9.0}  # in K
 _NEWTON: Powers = {"kg": 1.0, "m": 1.0, "s": -2.0}
 _JOULE: Powers = {"kg": 1.0, "m": 2.0, "s": -2.0}
 _PASCAL: Powers = {"kg": 1.0, "m": -1.0, "s": -2.0}
@@ -188,6 +189,21 @@ def meanings(unit: str) -> list[Meaning]:
             for own_size, own_kinds in _known(symbol)
         ]
     return found
+
+
+def difference(unit: str) -> tuple[float, str] | None:
+    """How large a difference of one is in SI units, and what it is one of; None where that is not known.
+
+    So that of 1 degC is one of 1 K: it does not matter what a thermometer counts from.
+    """
+    known = meanings(_DEGREES.sub(r"deg\1", unit))
+    if len(known) != 1:
+        return None
+    size, kinds = known[0]
+    for symbol, degree in _DEGREE.items():
+        if kinds == {symbol: 1.0}:
+            size, kinds = size * degree, {"K": 1.0}
+    return size, _written(1.0, dict(sorted(kinds.items())))
 
 
 def _known(symbol: str) -> list[Meaning]:

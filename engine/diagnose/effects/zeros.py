@@ -6,12 +6,13 @@ moved by a constant. They could be counted from anywhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from engine.diagnose.effects.rates import Points, guessed_points, two_thetas
 from engine.statespace.model import Array, MixedModel
+from engine.units import difference
 
 STEPS = (1.0, 0.1)  # times the time between samples
 ROUNDING = 1e-11  # of a number
@@ -21,8 +22,8 @@ FAR = 7.0  # times the size of a state: how far it is moved
 def without_zero(model: MixedModel, dt: float) -> frozenset[str]:
     """The states, inputs and outputs of which the model does not care where they are counted from.
 
-    One state alone, or all states and inputs of a unit together. ``dt`` is the time between samples, in the
-    model's unit of time.
+    One state alone, or all states and inputs of a unit, or of a kind of units, together. ``dt`` is the time
+    between samples, in the model's unit of time.
     """
     try:
         points = guessed_points(model, dt)
@@ -39,15 +40,28 @@ def without_zero(model: MixedModel, dt: float) -> frozenset[str]:
 
 def _ways(model: MixedModel, points: Points) -> Iterator[tuple[Array, Array]]:
     """How far states (nx,) and inputs (nu,) are moved, in turn."""
-    states = np.array([*model.nonlinear.values(), *model.linear.values()])
-    inputs = np.array(list(model.inputs.values()))
+    units = [*model.nonlinear.values(), *model.linear.values(), *model.inputs.values()]
     for i, size in enumerate(points.scale):
         yield FAR * size * np.eye(model.nx)[i], np.zeros(model.nu)
-    for unit in dict.fromkeys(states.tolist()):
-        own, driven = states == unit, inputs == unit
-        if own.sum() + driven.sum() > 1:
-            far = FAR * points.scale[own].max()
-            yield far * own, far * np.asarray(driven, dtype=float)
+    for per in _together(units):
+        own, driven = per[: model.nx], per[model.nx :]
+        if own.any() and np.count_nonzero(per) > 1:
+            far = FAR * (points.scale[own > 0.0] / own[own > 0.0]).max()
+            yield far * own, far * driven
+
+
+def _together(units: Sequence[str]) -> Iterator[Array]:
+    """How many units (n,) of each channel one step of all of a kind is, 0 of others: in m and mm 1 to 1000.
+
+    First those that are written alike, whatever they are, then those of different units of one kind.
+    """
+    for unit in dict.fromkeys(units):
+        yield np.array([float(one == unit) for one in units])
+    known = [difference(one) for one in units]
+    for kind in dict.fromkeys(one[1] for one in known if one is not None):
+        per = np.array([0.0 if one is None or one[1] != kind else 1.0 / one[0] for one in known])
+        if len({unit for unit, own in zip(units, per, strict=True) if own}) > 1:
+            yield per / per.max()
 
 
 def _moved(model: MixedModel, points: Points, theta: Array, dx: Array, du: Array) -> set[str]:

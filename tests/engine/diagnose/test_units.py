@@ -143,6 +143,12 @@ def test_what_can_be_counted_from_anywhere_is(model, channels):
         compare(one, other, one)
 
 
+def in_kelvin_and_fahrenheit():
+    """The room with its masonry in mK and the air outside in degF."""
+    model = Units(room(), {"masonry": (1e3, 273150.0), "outside": (1.8, 32.0)}).converted()
+    return replace(model, linear={"masonry": "mK"}, inputs={"heater": "W", "outside": "degF"})
+
+
 @pytest.mark.parametrize(
     ("model", "afloat"),
     [
@@ -152,6 +158,8 @@ def test_what_can_be_counted_from_anywhere_is(model, channels):
         (cart(rough=0.1), set()),
         (replace(cart(), reference={"position": 2.0}), {"position", "tape"}),
         (room(), {"air", "masonry", "outside", "y"}),
+        (in_kelvin_and_fahrenheit(), {"air", "masonry", "outside", "y"}),
+        (replace(in_kelvin_and_fahrenheit(), linear={"masonry": "K"}), set()),  # not what it is in
         (pendulum(), set()),
     ],
 )
