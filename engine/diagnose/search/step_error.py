@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.catalogue import extend
+from engine.diagnose.effects.catalogue import extend, make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.refits import Refit
@@ -113,10 +113,14 @@ def decides(
     ]
 
     def with_it(one: Refit) -> list[str]:
-        """The effects of a refit's model: in a search that looked back those of the other rounds, too."""
-        alone = len(one.fit.theta) == len(model.parameters) + len(one.effect.parameters)
-        beside = [] if alone else [name for name in names if name != best.effect.name]
-        return [one.effect.name, *beside]
+        """The effects of a refit's model: in a search that looked back those of other rounds that it holds."""
+        beside = [name for name in names if name not in (best.effect.name, one.effect.name)]
+        sizes = [make_effect(name, setting).size.name for name in beside]
+        held = set(one.fit.theta.names) if beside else set()
+        return [
+            one.effect.name,
+            *(n for n, size in zip(beside, sizes, strict=True) if size in held),
+        ]
 
     def shorter(one: Refit) -> tuple[float, float]:
         """The score with steps half as long, and again up to ``enough``; what the last ones gained."""

@@ -303,6 +303,25 @@ def test_what_the_steps_decide(scores, worths, gains, substeps, worth, monkeypat
     assert step_error.decides(*asked) == worth
 
 
+@pytest.mark.parametrize("held", [[], ["force:speed"], ["force:speed", "step:speed"]])
+def test_a_rival_is_asked_beside_what_its_own_fit_holds(held):
+    """Of three effects a rival of the first may have been weighed beside one: a diagnosis ended there."""
+    series = measured(0.5, 0.0, T=80)
+    setting = setting_for(DRIVE, series, DRIVE.theta())
+
+    def refit(name, score):
+        model = extend(DRIVE, [name, *held], setting)
+        fit = SimpleNamespace(model=model, theta=model.theta(), log_likelihood=0.0)
+        return SimpleNamespace(effect=catalogue.make_effect(name, setting), score=score, fit=fit)
+
+    refits: Any = [refit("drag:speed", 50.0), refit("coulomb:speed", 10.0)]
+    found: Any = SimpleNamespace(refits=refits, equivalent=refits[:1])
+    every = extend(DRIVE, ["drag:speed", "force:speed", "step:speed"], setting)
+    fit: Any = SimpleNamespace(model=every, theta=every.theta(), log_likelihood=0.0)
+    asked = found, ["drag:speed", "force:speed", "step:speed"], fit, series, setting, NOTHING, 4
+    assert step_error.decides(*asked) == 0.0
+
+
 def test_a_size_at_a_bound_that_another_setting_sees_elsewhere_is_compared_within_it():
     """Once a diagnosis ended there: a width of hysteresis is bounded by how fast the fit's states move."""
     series = measured(0.0, 0.0, T=120, friction=0.5)
