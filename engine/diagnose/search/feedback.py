@@ -119,8 +119,10 @@ def foretold(u: Array, errors: Array) -> float:
 
 
 def _left(y: Array, *known: Array) -> Array:
-    """What is left of y (n,) or (n, k) beside what is known (n,) or (n, .), by least squares."""
+    """What is left of y (n,) or (n, k) beside what is known (n,) or (n, .), in any units, by least squares."""
     X = np.column_stack(known)
+    size = np.linalg.norm(X, axis=0)
+    X = X / np.where(size > 0.0, size, 1.0)
     return np.asarray(y - X @ np.linalg.lstsq(X, y, rcond=None)[0])
 
 

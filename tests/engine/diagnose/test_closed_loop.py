@@ -179,3 +179,12 @@ def test_effects_that_compare_a_reading_with_the_input_of_its_row():
 def test_errors_are_not_sorted_by_an_input_that_saw_them():
     found = engine.diagnose(TANK, record(3, closed=True), effects=["bias"])
     assert "whenever the input" not in str(found)
+
+
+@pytest.mark.parametrize("unit", [1e-15, 1e15])
+def test_errors_foretell_an_input_in_any_unit(unit):
+    """In mF or in fF: small numbers were lost beside the clock's."""
+    rng = np.random.default_rng(2)
+    errors = rng.standard_normal((400, 1))
+    u = np.cumsum(rng.standard_normal(400)) + np.r_[0.0, 0.3 * errors[:-1, 0]]
+    assert foretold(unit * u, errors) == pytest.approx(foretold(u, errors), rel=1e-6)
