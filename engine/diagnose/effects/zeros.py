@@ -16,6 +16,9 @@ from engine.units import difference
 
 STEPS = (1.0, 0.1)  # times the time between samples
 ROUNDING = 1e-11  # of a number
+DIFFERENCED = (
+    1e-9  # ... that a step of differential equations has from differences by nonlinear states
+)
 FAR = 7.0  # times the size of a state: how far it is moved
 
 
@@ -67,11 +70,12 @@ def _together(units: Sequence[str]) -> Iterator[Array]:
 def _moved(model: MixedModel, points: Points, theta: Array, dx: Array, du: Array) -> set[str]:
     """The channels that are moved, if nothing but a constant comes of it."""
     read = np.zeros(model.ny, dtype=bool)
+    off = DIFFERENCED if model.continuous and model.na else ROUNDING
     for u, t, dt in zip(points.u, points.t, points.dt, strict=True):
         places = (points.x, u), (points.x + dx, u + du)
         for h in STEPS:
             (here, Q), (there, Q_there) = (_next(model, theta, x, v, t, h * dt) for x, v in places)
-            if not (_apart(here, there, dx) and _same(Q, Q_there)):
+            if not (_apart(here, there, dx, off) and _same(Q, Q_there, off)):
                 return set()
         (here, R), (there, R_there) = (_reading(model, theta, x, v, t) for x, v in places)
         change = there[0] - here[0]
@@ -83,15 +87,17 @@ def _moved(model: MixedModel, points: Points, theta: Array, dx: Array, du: Array
     return {name for name, moved in zip(names, moves, strict=True) if moved}
 
 
-def _apart(here: Array, there: Array, change: Array) -> bool:
-    """Whether rows (M, n) are as far apart as this ``change`` (n,), but for rounding."""
-    rounding = ROUNDING * (np.abs(here) + np.abs(there) + np.abs(change)).max(axis=0)
+def _apart(here: Array, there: Array, change: Array, off: float = ROUNDING) -> bool:
+    """Whether rows (M, n) are as far apart as this ``change`` (n,), but for a share of them that may be off."""
+    rounding = off * (np.abs(here) + np.abs(there) + np.abs(change)).max(axis=0)
     return bool((np.abs(there - here - change) <= rounding).all())
 
 
-def _same(here: Array, there: Array) -> bool:
-    """Whether two covariances are the same, but for rounding."""
-    return bool((np.abs(there - here) <= ROUNDING * np.abs(here)).all())
+def _same(here: Array, there: Array, off: float = ROUNDING) -> bool:
+    """Whether covariances (., n, n) are the same, but for a share of the scatter that may be off."""
+    scatter = np.sqrt(np.abs(np.diagonal(here, axis1=-2, axis2=-1)))
+    scale = scatter[..., :, None] * scatter[..., None, :]
+    return bool((np.abs(there - here) <= off * scale).all())
 
 
 def _next(

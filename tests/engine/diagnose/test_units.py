@@ -143,6 +143,46 @@ def test_what_can_be_counted_from_anywhere_is(model, channels):
         compare(one, other, one)
 
 
+def two_rooms(nonlinear):
+    """Two rooms as differential equations; so many of the states are declared nonlinear, all enter linearly."""
+    names = ("north", "south")
+    J = 4e-4 * np.array([[-1.0, 1.0], [1.0, -1.0]])
+
+    def drift(a, u, t, th):
+        x = np.concatenate([a, np.zeros((len(a), 2 - nonlinear))], axis=1)  # what z adds goes by A
+        warmed = np.array([1e-3, 0.0]) * np.reshape(u[0], (-1, 1))
+        outside = np.reshape(u[1], (-1, 1)) - x
+        return x @ J.T + th.l * outside + warmed, (J - th.l * np.eye(2))[:, nonlinear:]
+
+    return engine.continuous(
+        name="rooms",
+        drift=drift,
+        diffusion=lambda a, u, t, th: 1e-6 * np.eye(2),
+        measurement=lambda a, u, t, th: (
+            [*a.T, *[0.0] * (2 - nonlinear)],
+            np.eye(2)[:, nonlinear:],
+            0.01 * np.eye(2),
+        ),
+        initial=lambda th: (
+            engine.Gaussian([18.0] * nonlinear, np.eye(nonlinear)),
+            [17.0] * (2 - nonlinear),
+            np.eye(2 - nonlinear),
+        ),
+        nonlinear=dict.fromkeys(names[:nonlinear], "degC"),
+        linear=dict.fromkeys(names[nonlinear:], "degC"),
+        inputs={"heater": "kW", "outside": "degC"},
+        outputs={"Tn": "degC", "Ts": "degC"},
+        parameters=[engine.Parameter("l", 2e-4, "1/s", (1e-7, 1.0))],
+    )
+
+
+@pytest.mark.parametrize("nonlinear", [0, 1, 2])
+def test_temperatures_count_from_anywhere_whichever_way_states_are_declared(nonlinear):
+    """Derivatives by nonlinear states are differences, which are not as exact as a number."""
+    afloat = {"north", "south", "outside", "Tn", "Ts"}
+    assert without_zero(two_rooms(nonlinear), 300.0) == afloat
+
+
 def in_kelvin_and_fahrenheit():
     """The room with its masonry in mK and the air outside in degF."""
     model = Units(room(), {"masonry": (1e3, 273150.0), "outside": (1.8, 32.0)}).converted()
