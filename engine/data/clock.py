@@ -19,10 +19,8 @@ WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
-EVEN, DIGITS = (
-    1e-6,
-    12,
-)  # of a step, by which those at one common step may differ; digits that one has
+EVEN = 1e-6  # of a step, by which those at one common step may differ
+DIGITS = 12  # that a common step has at most
 ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
 
 

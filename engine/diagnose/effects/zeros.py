@@ -16,9 +16,7 @@ from engine.units import difference
 
 STEPS = (1.0, 0.1)  # times the time between samples
 ROUNDING = 1e-11  # of a number
-DIFFERENCED = (
-    1e-9  # ... that a step of differential equations has from differences by nonlinear states
-)
+DIFFERENCED = 1e-9  # the same where steps of equations rest on differences by nonlinear states
 FAR = 7.0  # times the size of a state: how far it is moved
 
 
