@@ -65,6 +65,13 @@ def oracle_right(row: Row) -> bool:
     return tie or right(row, str(row["oracle"]))
 
 
+def lead(row: Row) -> float:
+    """The truth's lead in score over the best rival that is another thing; negative where the rival leads."""
+    ahead = float(row["score_truth"]) - float(row["score_rival"])
+    same_thing = right(row, str(row["oracle"])) and ahead < 0.0
+    return np.inf if same_thing else ahead
+
+
 def twinned(row: Row) -> bool:
     """Whether the series was diagnosed in other units, too."""
     return bool(row["twin"])
