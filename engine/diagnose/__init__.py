@@ -13,8 +13,8 @@ turn is then weighed again, each beside the others. Its verdict is
   in the catalogue, or the model is far from the data whatever is added, or something contradicts the
   name: its size may as well be zero, or the particle filter sees no gain.
 
-What is left or contradicted after the first effect does not take that its name where it is a small part: of what
-the likelihood gains, while the free run with the first alone keeps next to nothing of its error.
+What is left or contradicted after the first effect does not take that its name where it is a small part of
+what the likelihood gains, and the free run with the first alone keeps next to nothing of its error.
 """
 
 from __future__ import annotations

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.effect import Split, on_base, pushed
+from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.promotion import promote
 
-MOST_FED = 4  # each of them costs the particles a dimension
+MOST_DRIVING = 4  # each of them costs the particles a dimension
 
 Size = Callable[[Any, Sequence[Any]], Any]  # of a friction, at speeds (M,) and own parameters
 Zero = Callable[[Sequence[Any]], Any]
@@ -37,17 +38,25 @@ def rubbed(v: Any, free: Any, push: Any) -> Any:
     return np.where(turns, turned, end)
 
 
+def with_known_speed(model: MixedModel, setting: Setting, speed: str) -> MixedModel:
+    """The model with ``speed`` and the states that drive it promoted, so that what holds it still is known.
+
+    Where those are few, and no disturbances of their own, which only linear states keep cheap.
+    """
+    driving = {*setting.feeding(speed)} & {*setting.moved} - {speed}
+    few = [name for name in model.linear if name in driving]
+    return promote(model, (speed, *(few if len(few) <= MOST_DRIVING else ())))
+
+
 def rub(
-    model: MixedModel, source: str, target: str, feeding: Sequence[str], size: Size, zero: Zero
+    model: MixedModel, setting: Setting, source: str, target: str, size: Size, zero: Zero
 ) -> MixedModel:
     """``target``' = ... - dt * size(v) * sign(v), v the state ``source`` counted from its ``zero``.
 
-    Of a continuous model half of it comes before the step and half after it (Strang 1968). To tell whether it
-    holds what stands, linear states that are ``feeding`` v are promoted, where they are few. Where others move
-    v, a mean over them does not say which way the motion is: friction comes before the step, and only stops.
+    Of a continuous model half of it comes before the step and half after it (Strang 1968). Where linear states
+    move v, a mean over them does not say which way the motion is: friction comes before the step, to stop only.
     """
-    fed = [name for name in model.linear if name in feeding and name != source]
-    base = promote(model, (source, *(fed if len(fed) <= MOST_FED else ())))
+    base = with_known_speed(model, setting, source)
     split, column = Split(model), list(base.nonlinear).index(source)
     row = [*base.nonlinear, *base.linear].index(target)
     own_speed = source == target

@@ -57,8 +57,7 @@ def _static(
                 return own[0] * term(x, own[1:])
 
             if friction:
-                fed = [one for one in setting.feeding(source) if one in setting.moved]
-                return rub(model, source, target, fed, sized, origin.of)
+                return rub(model, setting, source, target, sized, origin.of)
             return add_to_state(
                 model, target, lambda v, own: sized(v[source] - origin.of(own), own), (source,)
             )

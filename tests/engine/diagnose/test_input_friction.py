@@ -7,13 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import engine
-from engine.diagnose import all_effects, extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose import all_effects, extend, make_effect
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.sigma_point import moment_filter, run_on_tape
 from engine.simulation.free_run import free_run
+from tests.engine.diagnose.test_friction import by_hand
 from tests.engine.diagnose.test_kinds_by_integration import run
 from tests.engine.plain_models import Units
 
@@ -84,6 +85,35 @@ def test_it_is_what_the_equations_of_the_masses_say(name, size, hidden):
         np.abs(one[::k][:300] - states[:, :2]).max() for one, k in ((y, 8), (without, 1))
     )
     assert error < 0.03 * effect
+
+
+def test_it_holds_what_stands_and_turns_with_the_motion_within_a_step():
+    """Two speeds on one input, the other way round and with half of its force: it acts on both."""
+    pair = engine.MixedModel(
+        name="pair",
+        dynamics=lambda a, u, t, dt, th: (
+            a + dt * u[0] * np.array([1.0, -0.5]),
+            np.zeros((2, 0)),
+            1e-6 * np.eye(2),
+        ),
+        measurement=lambda a, u, t, th: (a, np.zeros((2, 0)), 1e-6 * np.eye(2)),
+        initial=lambda th: (engine.Gaussian(np.zeros(2), np.eye(2)), [], np.zeros((0, 0))),
+        nonlinear={"v": "m/s", "w": "m/s"},
+        inputs={"force": "m/s^2"},
+        outputs={"y1": "m/s", "y2": "m/s"},
+        reference={"v": 0.0},
+        parameters=[],
+        continuous=True,
+    )
+    setting = Setting(pair, dt=DT)
+    rubbed = make_effect("input-coulomb:v->force", setting).apply(pair)
+    v = np.array([-1.0, -0.03, 0.0, 0.03, 1.0])
+    a = np.stack([v, np.full(5, 2.0)], axis=1)
+    for force in (-0.5, 0.5, 3.0):
+        after, _, _ = rubbed.transition(a, np.array([force]), 0.0, DT, rubbed.record([1.0]))
+        ends = np.array([by_hand(one, force, 1.0, DT) for one in v])
+        np.testing.assert_allclose(after[:, 0], ends, atol=1e-12)
+        np.testing.assert_allclose(after[:, 1], 2.0 - 0.5 * (ends - v), atol=1e-12)
 
 
 def test_it_is_asked_where_an_input_moves_several_masses_one_of_them_a_rate():
