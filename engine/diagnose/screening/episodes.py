@@ -8,16 +8,20 @@ of every length and taken for the others in proportion to the information of the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.statespace.model import Array
 
 SHORTEST = 2  # samples; what lasts for one is a pulse
 LONGEST = 0.8  # of the record; a step is found once, and can be taken back by an episode alone
-GROWTH = 1.3  # from one length to the next
+GROWTH = 1.3  # from one length whose information is known to the next
+PAIRS = 2e6  # of beginnings and ends looked at, at most
 KNOWN = 6  # windows of a length whose information is found
 TRIED = 60  # windows tested exactly
+USUAL = 16.0  # squared standard deviations of what is found
 NEAR = 3  # places to either side at which an end is tried again, spread over a share ...
 SHARE = 0.25  # ... of the length, then of what lies between them, until they are rows
 
@@ -33,32 +37,29 @@ def lengths(n: int) -> list[int]:
     return [w for w in out if w <= most]
 
 
-def tries(n: int) -> float:
-    """How many independent places the windows of all lengths amount to.
-
-    Where the scores of windows that overlap fall off linearly, as they do, their maximum of u standard
-    deviations is that of some n u^2 / w windows (Pickands 1969); of two lengths next to each other half is new.
-    """
-    usual = 16.0  # u^2 of what is found
-    return sum(0.5 * n * min(1.0, usual / w) for w in lengths(n))
-
-
 def promising(
     scores: Array, information: Array, breaks: Sequence[int], known: Information
-) -> list[Window]:
+) -> tuple[list[Window], float]:
     """The windows that promise most, a few of each length, none over one of the ``breaks``.
 
-    ``scores`` and ``information`` (n,) are those of each sample; ``known`` gives that of windows.
+    ``scores`` and ``information`` (n,) are those of each sample; ``known`` gives that of windows. Of a good
+    sensor only a window with both of its ends right promises anything: all lengths are looked at, not only
+    those whose information is known.
+
+    Then how many independent windows that amounts to. One sample more at an end, of information p, leaves a
+    correlation of 1 - p / 2 I of windows with information I. Then of those that overlap a share of
+    u^2 p / 2 I is new at each end, u standard deviations being found (Pickands 1969).
     """
     n, edge = len(scores), 2
     sums, added = (np.concatenate([[0.0], np.cumsum(x)]) for x in (scores, information))
     found: list[tuple[float, Window]] = []
     every = lengths(n)
-    for w in every:
-        first = np.arange(edge, n - w - edge + 1)
-        first = first[[not any(i < b < i + w for b in breaks) for i in first]]
-        own = added[first + w] - added[first]
-        first, own = first[own > 0.0], own[own > 0.0]
+    each = max(1, TRIED // max(len(every), 1))
+    one = float(np.median(information[information > 0.0])) if (information > 0.0).any() else 0.0
+    new = 0.0
+    for w, longer in pairwise([*every, int(LONGEST * n) + 1]):
+        first = _within(np.arange(edge, n - w - edge + 1), w, breaks)
+        first = first[added[first + w] > added[first]]
         if not first.size:
             continue
         some = first[np.linspace(0, len(first) - 1, KNOWN).astype(int)]
@@ -66,19 +67,31 @@ def promising(
         ratio = float(np.median(exact / (added[some + w] - added[some])))
         if not ratio > 0.0:
             continue
-        promise = (sums[first + w] - sums[first]) ** 2 / (ratio * own)
-        each = max(1, TRIED // len(every))
-        found += [
-            (float(promise[k]), (int(first[k]), int(first[k]) + w))
-            for k in _peaks(promise, w, each)
-        ]
-    return [window for _, window in sorted(found, reverse=True)[:TRIED]]
+        new += 0.5 * n * min(1.0, 0.5 * USUAL * one / float(np.median(exact))) ** 2 * (longer - w)
+        promise, length = np.zeros(n), np.full(n, w)
+        few = max(1, int(PAIRS / (n * len(every))))
+        for v in np.unique(np.linspace(w, longer - 1, min(longer - w, few)).astype(int)):
+            first = _within(np.arange(edge, n - v - edge + 1), v, breaks)
+            own = added[first + v] - added[first]
+            first, own = first[own > 0.0], own[own > 0.0]
+            here = (sums[first + v] - sums[first]) ** 2 / (ratio * own)
+            better = here > promise[first]
+            promise[first[better]], length[first[better]] = here[better], v
+        found += [(float(promise[k]), (k, k + int(length[k]))) for k in _peaks(promise, w, each)]
+    return [window for _, window in sorted(found, reverse=True)[:TRIED]], new
+
+
+def _within(first: NDArray[np.intp], w: int, breaks: Sequence[int]) -> NDArray[np.intp]:
+    """Of windows of ``w`` samples those that hold none of the ``breaks``, by where they begin."""
+    for b in breaks:
+        first = first[(first >= b) | (first + w <= b)]
+    return first
 
 
 def _peaks(promise: Array, apart: int, most: int) -> list[int]:
-    """Places of the largest values, each as far apart from the others as a window is long."""
+    """Places of the largest values above 0, each as far apart from the others as a window is long."""
     out: list[int] = []
-    for k in np.argsort(-promise):
+    for k in np.argsort(-promise)[: np.count_nonzero(promise)]:
         if all(abs(int(k) - other) >= apart for other in out):
             out.append(int(k))
         if len(out) == most:

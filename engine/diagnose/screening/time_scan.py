@@ -11,7 +11,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
-from engine.diagnose.screening.episodes import Window, near, promising, strides, tries
+from engine.diagnose.screening.episodes import Window, near, promising, strides
 from engine.diagnose.screening.score_columns import Column, Projection, whitened
 from engine.diagnose.screening.screen import Test, make_test
 from engine.estimation.expectation import parameter_scale
@@ -93,7 +93,7 @@ def _episode_test(
     def best_of(windows: Sequence[Window], test: Test) -> Window:
         return windows[int(np.argmax(test.statistics(test.s.sum(axis=1))))]
 
-    windows = promising(scores, information, begins, known)
+    windows, tries = promising(scores, information, begins, known)
     test = test_of(windows)
     if test is None:
         return None
@@ -104,7 +104,7 @@ def _episode_test(
         if test is None:
             return None
         best = best_of(windows, test)
-    return test.best_of(int(tries(series.n_measured)))
+    return test.best_of(max(1, int(tries)))
 
 
 def grid(effect: Effect, series: Series) -> Array:

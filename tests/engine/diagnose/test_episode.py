@@ -13,6 +13,7 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.episodes import NEAR, lengths, near, promising, strides
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import case
 
 T, BEGIN, END = 200, 90, 105
 
@@ -81,6 +82,26 @@ def test_the_screen_sees_both_ends_of_what_lasts_for_half_of_the_record(seed):
     assert air.at == pytest.approx((100.0, 300.0), abs=6.0)
 
 
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_both_ends_of_what_a_good_sensor_reads_are_found_to_the_sample(seed):
+    """One sample off, and nothing is seen of it: windows of some lengths only were asked."""
+    model, series, name = case("episode", seed)
+    fit = quasi_ml(model, series)
+    setting = setting_for(model, series, np.asarray(fit.theta))
+    seen = screen_effects(fit, series, setting, [name], 0.05, 1, lambda *_: None)
+    assert seen.scores[0].at == pytest.approx((16.0, 17.5))
+
+
+def test_windows_of_a_good_sensor_are_more_chances():
+    """Where one sample changes everything each pair of ends is one; else those that are far apart are."""
+    n = 400
+    scores, information = np.random.default_rng(1).standard_normal(n), np.ones(n)
+    of_force = promising(scores, information, [], lambda ws: np.diff(ws)[:, 0].astype(float))[1]
+    of_reading = promising(scores, information, [], lambda ws: np.full(len(ws), 2.0))[1]
+    assert 2.0 * n < of_force < 20.0 * n
+    assert of_reading == pytest.approx(0.5 * n * 0.8 * n, rel=0.02)
+
+
 @pytest.mark.slow
 def test_a_door_open_for_half_of_the_record_is_no_step_beside_another_episode():
     kinds = ["episode", "step", "pulse", "variance", "level"]
@@ -110,11 +131,11 @@ def test_windows_of_a_record():
     scores, information = np.zeros(n), np.ones(n)
     scores[40:52] = 1.0
     known = lambda windows: np.array([end - begin for begin, end in windows], dtype=float)  # noqa: E731
-    windows = promising(scores, information, [], known)
+    windows, _ = promising(scores, information, [], known)
     begin, end = max(windows, key=lambda w: scores[w[0] : w[1]].sum() ** 2 / (w[1] - w[0]))
     assert abs(begin - 40) + abs(end - 52) <= 3
     assert (40, 52) in near((begin, end), n, 1.0)
-    for begin, end in promising(scores, information, [46], known):  # another record begins there
+    for begin, end in promising(scores, information, [46], known)[0]:  # another record begins there
         assert not begin < 46 < end
     assert lengths(n)[0] == 2
     assert 50 < lengths(n)[-1] <= 80
