@@ -131,11 +131,11 @@ def _late_reading(
     return replace(late, steps_counted=setting.substeps)
 
 
-def _blocks(now: Any, shift: Array, hold: Array) -> Array:
-    """``shift`` where ``now``, True or an array (M,), else ``hold``."""
-    if np.ndim(now):
-        return np.where(np.reshape(now, (-1, 1, 1)), shift, hold)
-    return shift if now else hold
+def _blocks(now: Any, shift: Array, hold: Array) -> Any:
+    """``shift`` where ``now``, True or an array (M,), else ``hold``; without a branch, which no tape takes."""
+    if now is True:
+        return shift
+    return hold + np.reshape(now, (-1, 1, 1) if np.ndim(now) else ()) * (shift - hold)
 
 
 def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
@@ -286,9 +286,9 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         done, first, rest = _courses(own, depth, *setting.part_of_sample(t, dt))
         after = (1.0 - done) * g  # of what acts in the second part of the step
         within = (done > 0.0) & (done < 1.0)
-        if model.continuous and within.any():
+        if model.continuous and (setting.substeps > 1 or within.any()):  # no branch by times
             left = np.where(within, 1.0 - done, 1.0)[:, 0] * dt
-            left = left if left.size == M > 1 else left[0].item()
+            left = left if left.size == M > 1 else left[0]
             here = model.transition(a, u, t, left, record)[0]
             after = np.where(within, gain(model.transition, here, a, u, t, left, record), after)
         moved(f, A, [(g - after, first), (after, rest)], u)

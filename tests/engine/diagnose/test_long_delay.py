@@ -5,6 +5,11 @@ import pytest
 
 import engine
 from engine import Parameter
+from engine.diagnose import extend
+from engine.diagnose.effects.setting import setting_for
+from engine.simulation.simulate import step_lengths
+from engine.simulation.taped import run_by_tape
+from tests.engine.diagnose.test_friction import DT, body, measured
 
 LATE, T = 7, 400
 TANK = engine.MixedModel(
@@ -45,3 +50,21 @@ def test_a_valve_that_is_seven_samples_late_is_found(late):
     assert [cause.effect for cause in found.causes] == ["delay:valve"] * bool(late)
     if late:
         assert found.causes[0].size == pytest.approx(late, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["delay:force", "delay:y"])
+def test_a_late_channel_beside_steps_is_run_without_calls(name):
+    """Whether a step begins at a sample was a branch: a free run by calls took ninety times as long."""
+    x, u = measured(T=60)
+    series = engine.Series(x, u, dt=DT, y_names=["y"], u_names=["force"]).refined(4)
+    model = body()
+    late = extend(model, [name], setting_for(model, series, np.asarray(model.theta())))
+    record = late.record(late.theta({name.replace(":", "_"): 2.5}))
+    taped = run_by_tape(late, record, series, np.zeros((1, late.nx)), step_lengths(series))
+    assert taped is not None
+    for x, u, t, dt, after in zip(
+        taped[:, 0], series.u_step, series.t, step_lengths(series), taped[1:, 0], strict=False
+    ):
+        f, A, _ = late.transition(x[None, : late.na], u, t, dt, record)
+        called = f[0] + np.reshape(A, (late.nx, late.nz)) @ x[late.na :]
+        np.testing.assert_allclose(after, called, rtol=1e-9, atol=1e-12)
