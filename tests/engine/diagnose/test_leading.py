@@ -26,9 +26,10 @@ def test_clipped_readings_are_not_taken_for_noise():
 @pytest.mark.slow
 @pytest.mark.parametrize("beside", [False, True])
 def test_without_the_free_run_their_scores_would_not_call_for_it(monkeypatch, beside):
-    """Only what it looks like does, where outliers lead."""
+    """What it looks like does, where outliers lead, or a screen anew, where scores are bent."""
     monkeypatch.setattr(search, "leading", lambda *_: {})
     if not beside:
+        monkeypatch.setattr(refitting, "bent", lambda *_: False)
         monkeypatch.setattr(refitting, "_look_alikes", lambda *_: False)
     found = find_causes(
         clipped.MODEL, clipped.series(), effects=clipped.KINDS, seed=1, max_effects=1
