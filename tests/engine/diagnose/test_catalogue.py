@@ -160,14 +160,27 @@ def test_every_kind_can_be_hidden(kind):
     assert np.ptp(series.y) > 0.0
 
 
+def in_two_of_three(is_found):
+    """Whether what is found holds in at least two of the series 5, 6, 7: by chance one may look like a rival."""
+    hits = misses = 0
+    for seed in (5, 6, 7):
+        if max(hits, misses) == 2:
+            break
+        hit = is_found(seed)
+        hits, misses = hits + hit, misses + (not hit)
+    return hits == 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sought(QUICK))
 def test_a_hidden_effect_is_found_among_its_look_alikes(kind):
-    model, series, name = case(kind, seed=5)
-    found = find_causes(model, series, effects=rivals(name, model), seed=1, max_effects=1)
-    first = found.search.rounds[0]
-    assert first.screen.p_value <= 0.05
-    assert name in explains(first)
+    def is_found(seed):
+        model, series, name = case(kind, seed)
+        found = find_causes(model, series, effects=rivals(name, model), seed=1, max_effects=1)
+        first = found.search.rounds[0]
+        return first.screen.p_value <= 0.05 and name in explains(first)
+
+    assert in_two_of_three(is_found)
 
 
 @pytest.mark.slow
@@ -184,16 +197,14 @@ def test_a_hidden_force_that_nobody_named_is_seen_and_not_named():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sought())
 def test_a_hidden_effect_is_found_in_the_whole_catalogue(kind):
-    """In at least two of three series, alone or in the stated set."""
-    hits = misses = 0
-    for seed in (5, 6, 7):
-        if max(hits, misses) == 2:
-            break
+    """Alone or in the stated set."""
+
+    def is_found(seed):
         model, series, name = case(kind, seed)
         found = find_causes(model, series, seed=1)
-        hit = any(name in explains(r) for r in found.search.rounds if r.equivalent)
-        hits, misses = hits + hit, misses + (not hit)
-    assert hits == 2
+        return any(name in explains(r) for r in found.search.rounds if r.equivalent)
+
+    assert in_two_of_three(is_found)
 
 
 @pytest.mark.slow
