@@ -33,17 +33,20 @@ def _static(
     look_alikes: dict[str, str],
     width: bool = False,
     friction: bool = False,
+    of_rate: str = "",
     traits: Traits = USUAL,
 ) -> Kind:
     """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
 
     ``width`` adds a scale parameter. Of a dry ``friction`` the term is the size, whose sign is against x.
+    ``of_rate`` says what it is where x is the rate of another state.
     """
 
     def make(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
         unit = setting.unit(source)
         origin = Origin(setting, name, source)
         rate = setting.rate(target, product((unit, power)))
+        is_rate = setting.is_rate(source) and source == target
         parameters = [Parameter(name, 0.0, rate, description=title)]
         widths: list[tuple[float, ...]] = [()]
         if width:
@@ -66,7 +69,7 @@ def _static(
             kind,
             channel,
             "state",
-            f"{title} of {source}" + _acting_on(source, target),
+            f"{title} of {source}" + _acting_on(source, target) + (of_rate if is_rate else ""),
             f"{target}' = ... {'-' if friction else '+'} dt * {name} * "
             f"{formula.format(x=origin.text(source))}",
             extend=extend,
@@ -205,6 +208,7 @@ KINDS: list[Kind] = [
         1,
         {"coulomb": ODD, "saturation": ODD},
         width=True,
+        of_rate=": friction that stays the same above a speed",
         traits=replace(STIFFNESS, contains=BENT),
     ),
     _static(

@@ -161,7 +161,7 @@ def test_every_kind_can_be_hidden(kind):
 
 
 def in_two_of_three(is_found):
-    """Whether what is found holds in at least two of the series 5, 6, 7: by chance one may look like a rival."""
+    """Whether a thing is found in at least two of the series 5, 6, 7: by chance one may look like a rival."""
     hits = misses = 0
     for seed in (5, 6, 7):
         if max(hits, misses) == 2:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import engine
-from engine.diagnose import extend
+from engine.diagnose import extend, make_effect
 from engine.diagnose.effects.friction import rubbed
 from engine.diagnose.effects.setting import setting_for
 from engine.estimation.quasi_ml import quasi_ml
@@ -132,3 +132,14 @@ def test_the_likelihood_of_friction_needs_no_short_steps(channels):
         assert fit.theta["coulomb_v"] == pytest.approx(size, rel=0.02)
         values.append(fit.log_likelihood)
     assert values[1] - values[0] < 10.0
+
+
+def test_a_friction_that_no_longer_grows_says_so():
+    """As that of a simulator which makes dry friction soft; of a position a dead zone is one."""
+    x, u = measured(T=60)
+    series = engine.Series(x, u, dt=DT, y_names=["y"], u_names=["force"])
+    model = body()
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    titles = {name: make_effect(f"deadzone:{name}", setting).title for name in ("x", "v")}
+    assert titles["v"] == "dead zone of v: friction that stays the same above a speed"
+    assert titles["x"] == "dead zone of x"
