@@ -21,6 +21,7 @@ from engine.statespace.model import Array, MixedModel, Theta
 SMALL = 0.01  # of the residuals: what the effect does over the distance of its differences
 LONGEST, SHORTEST = 0.1, 1e4  # that distance may be ten times as long, or be much shorter
 TRIALS, LEAP = 20, 1e-6  # distances tried, and how much shorter one may be than that before it
+LOST = 3  # of them, each 1e9 times as long, at which an effect may do nothing at all: then it does nothing
 # a candidate drops out; what a model raises is the first
 CANNOT = (EngineError, np.linalg.LinAlgError)
 
@@ -121,7 +122,7 @@ def slope(
     Over that distance it does a small part of what is wrong. Where that is looked for an effect may grow with
     its size far faster than in proportion to it, or be lost in rounding, whatever its unit.
     """
-    h, found = model.parameters[index].scale or 1.0, None
+    h, found, lost = model.parameters[index].scale or 1.0, None, 0
     place = np.array([index]), np.array([], dtype=np.intp)
     for _ in range(TRIALS):
         parts = []
@@ -134,7 +135,10 @@ def slope(
             h *= LEAP
             continue
         if level == 0.0:
-            h /= LEAP**0.5
+            lost += 1
+            if lost == LOST:
+                break
+            h *= 1e9
             continue
         found, wanted = (g, h), SMALL * fit.rms / level
         if wanted == 0.0 or LONGEST < wanted / h < SHORTEST:
