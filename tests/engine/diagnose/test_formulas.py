@@ -7,6 +7,7 @@ import pytest
 
 from engine.diagnose import make_effect
 from engine.diagnose.effects.setting import Record, Setting
+from tests.engine.diagnose.test_friction import by_hand
 from tests.engine.hidden_effects import DRIVE
 from tests.engine.plain_models import room
 
@@ -48,11 +49,6 @@ RATES = [
     ("cubic:speed", [-0.8, 0.3], lambda x, t: -0.8 * (x - 0.3) ** 3),
     ("cubic:speed->load", [-0.8, 0.3], lambda x, t: -0.8 * (x - 0.3) ** 3),
     ("drag:speed", [0.9, 0.3], lambda x, t: -0.9 * (x - 0.3) * np.abs(x - 0.3)),
-    (
-        "stribeck:speed",
-        [1.1, 0.5, 0.3],
-        lambda x, t: -1.1 * np.sign(x - 0.3) * np.exp(-np.abs(x - 0.3) / 0.5),
-    ),
     ("deadzone:speed", [-2.0, 0.5, 0.3], lambda x, t: -2.0 * np.clip(x - 0.3, -0.5, 0.5)),
     ("saturation:speed", [-4.0, 0.5, 0.3], lambda x, t: -4.0 * beyond(x - 0.3, 0.5)),
     ("linear:speed", [0.7, 0.3], lambda x, t: 0.7 * (x - 0.3)),
@@ -91,14 +87,30 @@ def test_a_linear_state_drives_by_its_distance_from_its_zero(name, row):
     same(step(model, theta=[*THETA, 0.7, 0.3]), (f, A, Q))
 
 
-def test_friction_stops_a_motion_and_does_not_turn_it():
-    model = make_effect("coulomb:speed", SETTING).apply(DRIVE)
-    for size in (0.5, 30.0):
-        push = -np.sign(SPEED) * np.minimum(STEP * size, np.abs(SPEED))
-        f, A, Q = step(DRIVE)
-        f = np.array(f)
-        f[:, SPEED_ROW] += push
-        same(step(model, theta=[*THETA, size, 0.0]), (f, A, Q))
+@pytest.mark.parametrize(
+    ("name", "own", "size"),
+    [
+        ("coulomb:speed", [0.5, 0.3], lambda v: 0.5),
+        ("coulomb:speed", [30.0, 0.3], lambda v: 30.0),
+        ("stribeck:speed", [1.1, 0.5, 0.3], lambda v: 1.1 * np.exp(-abs(v) / 0.5)),
+    ],
+)
+def test_friction_stops_a_motion_and_does_not_turn_it(name, own, size):
+    """The load that moves the speed is known with it, and so is the way of the motion within the step."""
+    model = make_effect(name, SETTING).apply(DRIVE)
+    loads = np.array([0.7, -30.0, 4.0, 0.0, -2.0])
+    f, A, _ = step(DRIVE)
+    free = f + A[..., 0] * loads[:, None]
+    expected = free.copy()
+    for row, v in enumerate(SPEED - 0.3):
+        force = (free[row, SPEED_ROW] - 0.3 - v) / STEP
+        midway = 0.5 * (v + by_hand(v, force, size(v), STEP))
+        expected[row, SPEED_ROW] = 0.3 + by_hand(v, force, size(midway), STEP)
+    a, record = np.column_stack([SPEED, loads]), model.record(np.array(THETA + own))
+    found = model.transition(a, np.array([FORCE]), 0.0, STEP, record)
+    np.testing.assert_allclose(found[0], expected, rtol=1e-12, atol=1e-12)
+    assert found[1].shape[-1] == 0
+    same(np.broadcast_to(found[2], (5, 2, 2)), step(DRIVE)[2])
 
 
 def excess(x, limit, side, zero):

@@ -116,6 +116,49 @@ def test_what_stands_is_held_by_a_friction_that_is_the_larger(push, continuous):
     np.testing.assert_allclose(y, 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("continuous", [True, False])
+def test_what_stands_is_held_beside_a_slow_load(continuous):
+    """The load was left among the linear states, and what stands crept under its mean and the force."""
+    with_load = loaded(continuous)
+    series = engine.Series(np.zeros(50), np.full(50, 0.5), dt=DT, y_names=["y"], u_names=["force"])
+    extended, theta = rubbing(with_load, series, {})
+    y = engine.free_run(extended, theta, series).y
+    np.testing.assert_allclose(y, 0.0, atol=1e-12)
+
+
+def loaded(continuous):
+    """The body with a force on it that walks at random."""
+    plain = body(continuous)
+    names = {
+        "name": "loaded",
+        "measurement": lambda a, u, t, th: ([0.0], [[1.0, 0.0, 0.0]], [[th.r]]),
+        "initial": lambda th: (
+            engine.Gaussian(np.zeros(0), np.zeros((0, 0))),
+            np.zeros(3),
+            1e-10 * np.eye(3),
+        ),
+        "nonlinear": {},
+        "linear": {**plain.linear, "load": "m/s^2"},
+        "inputs": plain.inputs,
+        "outputs": plain.outputs,
+        "parameters": plain.parameters,
+    }
+    if continuous:
+        return engine.continuous(
+            drift=lambda a, u, t, th: ([0.0, u[0], 0.0], np.diag([1.0, 1.0], 1)),
+            diffusion=lambda a, u, t, th: np.diag([1e-12, th.q, 1e-4]),
+            **names,
+        )
+    return engine.MixedModel(
+        dynamics=lambda a, u, t, dt, th: (
+            [0.0, dt * u[0], 0.0],
+            np.eye(3) + np.diag([dt, dt], 1),
+            np.diag([dt * 1e-12, dt * th.q, dt * 1e-4]),
+        ),
+        **names,
+    )
+
+
 @pytest.mark.parametrize("channels", [{}, {"x": (1e9, 0.0), "v": (1e3, 0.0), "y": (1e9, 0.0)}])
 def test_the_likelihood_of_friction_needs_no_short_steps(channels):
     x, u = measured()
