@@ -206,7 +206,7 @@ def searched(monkeypatch):
     best = SimpleNamespace(effect=effect, fit=SimpleNamespace(model=DRIVE))
     monkeypatch.setattr(search, "decides", lambda *a: False)
     monkeypatch.setattr(search, "confirmed", lambda found: found)
-    monkeypatch.setattr(search, "_finished", lambda fit, series, told: fit)
+    monkeypatch.setattr(search, "finished", lambda fit, series, told: fit)
     monkeypatch.setattr(search, "leading", lambda *a: {})
     monkeypatch.setattr(
         search,
