@@ -122,17 +122,29 @@ def simulate(
         )
     blank = np.zeros((n_samples, model.ny))
     frame = Series(blank, u, dt=dt, t=t, hold=hold, time_unit=time_unit).check(model)
+    y, a, z = copies(model, theta, frame, 1, rng)
+    y, a, z = y[:, 0], a[:, 0], z[:, 0]
+    series = frame.replace(y=y, y_names=tuple(model.outputs), u_names=tuple(model.inputs))
+    return Simulation(y, a, z, series, model)
+
+
+def copies(
+    model: MixedModel, theta: ThetaLike, frame: Series, n: int, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """n records drawn at once over a series' inputs and times: y (T, n, ny), a (T, n, na), z (T, n, nz).
+
+    Each has a first state and noise of its own. To draw many takes little longer than to draw one. Raises
+    ModelError where one of them runs away.
+    """
     values = model.theta(theta)
     check_start(model, values, frame)
     record = model.record(values)
-    a1 = model.start(record).density.sample(rng, 1)
+    a1 = model.start(record).density.sample(rng, n)
     z1, P1 = model.start(record).linear(a1)
     z1 = z1 + noise(possible_noise(model, FIRST_Z, P1, frame.t[0]), z1.shape, rng)
     y, a, z = propagate(model, record, frame, a1, z1, rng)
     check_finite(model, frame, y, a, z)
-    y, a, z = y[:, 0], a[:, 0], z[:, 0]
-    series = frame.replace(y=y, y_names=tuple(model.outputs), u_names=tuple(model.inputs))
-    return Simulation(y, a, z, series, model)
+    return y, a, z
 
 
 @repeated_if_refuted

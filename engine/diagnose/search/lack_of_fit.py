@@ -35,7 +35,7 @@ from engine.diagnose.screening.score_columns import (
     parameter_columns,
     static_column,
 )
-from engine.diagnose.search.calibration import drawn_from
+from engine.diagnose.search.calibration import several_drawn
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
@@ -49,7 +49,8 @@ LEVEL = 0.02  # of right names, the share that this test may cost
 # share of a term's information that the others do not have: below it, it says nothing new
 NEW = 1e-3
 DRAWS = 999  # multiplier draws
-SIMULATED = 49  # records; if none of them lacks as much, p = 1 / (SIMULATED + 1) = LEVEL
+AT_ONCE = (1, 6, 14, 28)  # records that are drawn together: few where the first may end it
+SIMULATED = sum(AT_ONCE)  # records; if none of them lacks as much, p = 1 / (SIMULATED + 1) = LEVEL
 
 Term = tuple[str, ...]  # channels that are multiplied
 Around = dict[str, tuple[float, float]]  # middle and spread of channels
@@ -136,16 +137,22 @@ def _by_simulation(
 ) -> float:
     """The share of simulated records that lack as much; asked until it is above ``LEVEL``."""
     noise = np.zeros(len(fit.free), dtype=bool)
-    reached, asked = 0, 0
-    while asked < SIMULATED and 1 + reached <= LEVEL * (1 + SIMULATED):
+    reached = asked = 0
+    for size in AT_ONCE:
         rng = np.random.default_rng([seed, 6, asked])
-        asked += 1
         try:
-            drawn = drawn_from(fit, series, rng)
-            other = _lacking(fit, drawn, noise, targets, states, seed)
+            drawn = several_drawn(fit, series, size, rng)
         except (EngineError, np.linalg.LinAlgError):  # no evidence against the name
-            other = None
-        reached += other is None or other.tail <= seen.tail
+            return (2 + reached) / (2 + asked)
+        for one in drawn:
+            asked += 1
+            try:
+                other = _lacking(fit, one, noise, targets, states, seed)
+            except (EngineError, np.linalg.LinAlgError):
+                other = None
+            reached += other is None or other.tail <= seen.tail
+            if 1 + reached > LEVEL * (1 + SIMULATED):
+                return (1 + reached) / (1 + asked)
     return (1 + reached) / (1 + asked)
 
 

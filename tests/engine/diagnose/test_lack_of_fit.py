@@ -1,5 +1,8 @@
 """What is left beside a named effect, and depends on the states, is seen whatever its shape."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,8 @@ from engine.diagnose.effects.effect import Effect, add_to_state
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.noise_parameters import apart, noise_only
 from engine.diagnose.screening.score_columns import parameter_columns
+from engine.diagnose.search import lack_of_fit as lack_of_fit_module
+from engine.diagnose.search.calibration import drawn_from, several_drawn
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_path
@@ -195,3 +200,45 @@ def test_a_name_whose_shape_is_wrong_is_not_said():
     found = engine.diagnose(DRIVE, record, effects=kinds, seed=1)
     assert found.verdict is Verdict.UNKNOWN
     assert any("another shape" in note for note in found.notes)
+
+
+def test_records_to_compare_with_are_drawn_together(monkeypatch):
+    """One by one they took minutes on a record of 8000 steps, most of the time of a diagnosis."""
+    seen = lack_of_fit_module.LackOfFit("v", 50.0, 4, 1e-4, ("v",))
+    less = replace(seen, statistic=0.0)
+    sizes = []
+
+    def drawn(fit, series, n, rng):
+        sizes.append(n)
+        return (series,) * n
+
+    monkeypatch.setattr(lack_of_fit_module, "several_drawn", drawn)
+    monkeypatch.setattr(lack_of_fit_module, "_lacking", lambda *_: less)
+    fit = SimpleNamespace(free=("k",))
+    p = lack_of_fit_module._by_simulation(fit, None, seen, ["v"], ["v"], 1)
+    assert p == 1.0 / (1.0 + lack_of_fit_module.SIMULATED) == 1.0 / 50.0
+    assert len(sizes) < 6
+    sizes.clear()
+    monkeypatch.setattr(lack_of_fit_module, "_lacking", lambda *_: seen)
+    assert lack_of_fit_module._by_simulation(fit, None, seen, ["v"], ["v"], 1) == 1.0
+    assert sizes == [1]
+
+
+def test_records_drawn_together_are_as_those_drawn_alone():
+    """One is the same as before; of many each has its own first state and noise, and gaps as given."""
+    model = engine.get_model("oscillator")
+    u = np.ones((40, model.nu)) if model.nu else None
+    gone = np.zeros((40, model.ny))
+    gone[7] = np.nan
+    like = engine.Series(gone, u, dt=0.1, y_names=[*model.outputs], u_names=[*model.inputs])
+    fit = SimpleNamespace(model=model, theta=model.theta())
+    rng = np.random.default_rng
+    alone = engine.simulate(model, model.theta(), 40, rng(1), u=u, dt=0.1).y
+    np.testing.assert_array_equal(drawn_from(fit, like, rng(1)).y[:7], alone[:7])
+    many = np.array([one.y for one in several_drawn(fit, like, 400, rng(2))])
+    each = np.array([drawn_from(fit, like, rng(k)).y for k in range(100)])
+    assert np.isnan(many[:, 7]).all()
+    at = [0, 1, 20, 39]
+    spread = each[:, at].std(axis=0)
+    np.testing.assert_allclose(many[:, at].std(axis=0), spread, rtol=0.35)
+    assert (np.abs(many[:, at].mean(axis=0) - each[:, at].mean(axis=0)) < 0.5 * spread).all()
