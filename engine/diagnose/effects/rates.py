@@ -135,8 +135,13 @@ def rates(model: MixedModel) -> dict[str, Rate]:
 def two_thetas(model: MixedModel) -> tuple[Array, Array]:
     """The default parameters and others beside them: what holds at one alone is chance."""
     theta = np.asarray(model.theta())
+    return theta, beside(model, theta)
+
+
+def beside(model: MixedModel, theta: Array) -> Array:
+    """Parameters (n_theta,) beside these, within their bounds: what is 0 here may not stay so."""
     away = 0.07 * np.array([parameter_scale(model, theta, k) for k in range(len(theta))])
-    return theta, np.clip(theta + away, model.lower, model.upper)
+    return np.clip(theta + away, model.lower, model.upper)
 
 
 def _rates(

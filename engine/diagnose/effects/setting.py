@@ -17,7 +17,7 @@ from engine.data.clock import rounding_of
 from engine.data.joined import anew, apart, overlapping, starts_of
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
-from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
+from engine.diagnose.effects.rates import Points, Rate, beside, feeding, guessed_points, rates
 from engine.diagnose.effects.zeros import without_zero
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -343,10 +343,19 @@ class Setting:
         return feeding(self.model, theta, points)
 
     def feeding(self, state: str) -> list[str]:
-        """The states that feed a state within a step, itself among them where it does."""
-        feeds, _ = self.feeds
+        """The states that feed a state within a step, itself among them where it does.
+
+        Also those that do so at other parameters alone, as by a spring whose stiffness is 0 at first.
+        """
         states = list(self.states)
-        return [states[j] for j in np.flatnonzero(feeds[states.index(state)])]
+        return [states[j] for j in np.flatnonzero(self._may_feed[states.index(state)])]
+
+    @cached_property
+    def _may_feed(self) -> NDArray[np.bool_]:
+        """Which state (column) may feed which (row), (nx, nx)."""
+        points, theta = self.points(self.model)
+        feeds, _ = feeding(self.model, beside(self.model, theta), points)
+        return self.feeds[0] | feeds
 
     @cached_property
     def moved(self) -> tuple[str, ...]:

@@ -87,21 +87,29 @@ def body(continuous=True):
     )
 
 
-def rubbing(model, series, values):
-    """The model with a friction of the speed, and its parameters: of the model, and the friction's size."""
+def rubbing(model, series, values, known=True):
+    """The model with a friction of the speed, and its parameters: of the model, and the friction's size.
+
+    What feeds the speed is looked at with these parameters where they are ``known``, else with the model's own.
+    """
     theta = model.theta(values)
-    extended = extend(model, ["coulomb:v"], setting_for(model, series, np.asarray(theta)))
+    at = np.asarray(theta if known else model.theta())
+    extended = extend(model, ["coulomb:v"], setting_for(model, series, at))
     return extended, extended.theta({**theta.asdict(), "coulomb_v": 1.0})
 
 
-@pytest.mark.parametrize(("k", "c"), [(0.0, 0.0), (20.0, 0.4)], ids=["slide", "spring"])
-def test_a_body_that_sticks_and_slips_is_run_as_it_moves(k, c):
+@pytest.mark.parametrize(
+    ("k", "c", "known"),
+    [(0.0, 0.0, True), (20.0, 0.4, True), (20.0, 0.4, False)],
+    ids=["slide", "spring", "spring that was fitted away"],
+)
+def test_a_body_that_sticks_and_slips_is_run_as_it_moves(k, c, known):
     """However few the steps: with friction that stops but does not hold it was off by ten times as much."""
     x, u = measured(k, c)
     series = engine.Series(x, u, dt=DT, y_names=["y"], u_names=["force"])
     for substeps, off in ((1, 6e-3), (2, 1.5e-3), (4, 4e-4)):
         fine = series.refined(substeps)
-        extended, theta = rubbing(body(), fine, {"k": k, "c": c})
+        extended, theta = rubbing(body(), fine, {"k": k, "c": c}, known)
         y = engine.free_run(extended, theta, fine).y[fine.samples, 0]
         assert np.sqrt(np.mean((y - x) ** 2)) < off * x.std()
 
