@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.effect import Split, on_base, pushed
-from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.promotion import promote
 
-MOST_DRIVING = 4  # each of them costs the particles a dimension
+MOST_FED = 8  # each of them is a dimension for filters; two masses, their drive's current and a load are five
 
 Size = Callable[[Any, Sequence[Any]], Any]  # of a friction, at speeds (M,) and own parameters
 Zero = Callable[[Sequence[Any]], Any]
@@ -38,25 +37,25 @@ def rubbed(v: Any, free: Any, push: Any) -> Any:
     return np.where(turns, turned, end)
 
 
-def with_known_speed(model: MixedModel, setting: Setting, speed: str) -> MixedModel:
-    """The model with ``speed`` and the states that drive it promoted, so that what holds it still is known.
+def with_feeding(model: MixedModel, source: str, feeding: Sequence[str]) -> MixedModel:
+    """The model with a speed promoted, and what feeds it where that is little: friction must know it.
 
-    Where those are few, and no disturbances of their own, which only linear states keep cheap.
+    A slow load is among them: where it were left out, what stands would creep under the mean of it.
     """
-    driving = {*setting.feeding(speed)} & {*setting.moved} - {speed}
-    few = [name for name in model.linear if name in driving]
-    return promote(model, (speed, *(few if len(few) <= MOST_DRIVING else ())))
+    fed = [name for name in model.linear if name in feeding and name != source]
+    return promote(model, (source, *(fed if len(fed) <= MOST_FED else ())))
 
 
 def rub(
-    model: MixedModel, setting: Setting, source: str, target: str, size: Size, zero: Zero
+    model: MixedModel, source: str, target: str, feeding: Sequence[str], size: Size, zero: Zero
 ) -> MixedModel:
     """``target``' = ... - dt * size(v) * sign(v), v the state ``source`` counted from its ``zero``.
 
     Of a continuous model half of it comes before the step and half after it (Strang 1968). Where linear states
-    move v, a mean over them does not say which way the motion is: friction comes before the step, to stop only.
+    still move v, a mean over them does not say which way the motion is: friction comes before the step, and
+    only stops.
     """
-    base = with_known_speed(model, setting, source)
+    base = with_feeding(model, source, feeding)
     split, column = Split(model), list(base.nonlinear).index(source)
     row = [*base.nonlinear, *base.linear].index(target)
     own_speed = source == target

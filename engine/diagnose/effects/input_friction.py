@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Split, on_base
-from engine.diagnose.effects.friction import rubbed, with_known_speed
+from engine.diagnose.effects.friction import rubbed, with_feeding
 from engine.diagnose.effects.kinds import Kind
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
@@ -73,8 +73,12 @@ def _friction(
 def _rubbed(
     setting: Setting, state: str, source: str, origin: Origin, power: float, model: MixedModel
 ) -> MixedModel:
-    """The model whose input is less by its friction: dry, or of the motion half way through the step."""
-    base = with_known_speed(model, setting, state)
+    """The model whose input is less by its friction.
+
+    Drag is that of the motion half way through the step. Dry friction stops a motion or holds it, and the
+    share of it that this takes is what acts on all that the input moves.
+    """
+    base = with_feeding(model, state, setting.feeding(state))
     split, index = Split(model), list(base.inputs).index(source)
     column, unit = list(base.nonlinear).index(state), setting.size(source)
 
@@ -84,17 +88,15 @@ def _rubbed(
         zero = origin.of(own)
         before, after = a[:, column] - zero, f[:, column] - zero
         # a mean over linear states does not say which way the motion is
-        moved = np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),))
+        after = np.where(np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),)), before, after)
         more = base.transition(a, with_input(u, index, u[index] + unit), t, dt, record)[0]
         slope = (more - f) / unit  # by the input, over the step
         if power:
-            v = np.where(moved, before, 0.5 * (before + after))
+            v = 0.5 * (before + after)
             return f - own[0] * (v * np.abs(v))[:, None] * slope, A, Q
         push = own[0] * slope[:, column]
-        ends = rubbed(before, np.where(moved, before, after), push)
-        taken = np.where(moved, before, after) - ends
-        per_speed = slope / np.where(slope[:, column] == 0.0, 1.0, slope[:, column])[:, None]
-        return f - taken[:, None] * per_speed, A, Q
+        share = (after - rubbed(before, after, push)) / np.where(push == 0.0, 1.0, push)
+        return f - own[0] * share[:, None] * slope, A, Q
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         record, own = split(theta)

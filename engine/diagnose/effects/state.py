@@ -60,7 +60,7 @@ def _static(
                 return own[0] * term(x, own[1:])
 
             if friction:
-                return rub(model, setting, source, target, sized, origin.of)
+                return rub(model, source, target, setting.feeding(source), sized, origin.of)
             return add_to_state(
                 model, target, lambda v, own: sized(v[source] - origin.of(own), own), (source,)
             )

@@ -116,6 +116,66 @@ def test_it_holds_what_stands_and_turns_with_the_motion_within_a_step():
         np.testing.assert_allclose(after[:, 1], 2.0 - 0.5 * (ends - v), atol=1e-12)
 
 
+STEP = 0.02
+
+
+def hung(x, M=10.0, m=3.0, length=0.8):
+    """The rates of a trolley of 10 kg with a load that hangs still but for small angles; the force's slopes."""
+    speed, angle, w = x[..., 0], x[..., 1], x[..., 2]
+    pull = m * G * angle / M
+    return speed, w, pull, -(pull + G * angle) / length, 1.0 / M, -1.0 / (M * length)
+
+
+def small_swings(T, friction, fine=50, seed=3):
+    """(T, 3) trolley's speed, angle and rate, a friction that holds and stops it, by fine steps; the force."""
+    u = np.repeat(np.random.default_rng(seed).uniform(-20.0, 20.0, T // 15), 15)
+    x, out, h = np.zeros(3), np.zeros((T, 3)), STEP / fine
+    for t in range(T):
+        out[t] = x
+        for _ in range(fine):
+            v, w, pull, swing, by_force, swung = hung(x)
+            free = v + h * (pull + by_force * u[t])
+            push = h * by_force * friction
+            left = np.sign(v or free) * max(np.sign(v or free) * free - push, 0.0)
+            rubbed = (free - left) / (h * by_force)
+            rate = w + h * (swing + swung * (u[t] - rubbed))
+            x = np.array([left, x[1] + h * rate, rate])
+    return out, u
+
+
+LINEAR_CRANE = engine.continuous(
+    name="small-swings",
+    drift=lambda a, u, t, th: (
+        [u[0] / 10.0, 0.0, -u[0] / 8.0],
+        [[0.0, 0.3 * G, 0.0], [0.0, 0.0, 1.0], [0.0, -1.3 * G / 0.8, 0.0]],
+    ),
+    diffusion=lambda a, u, t, th: np.diag([1e-4, 1e-10, 1e-4]),
+    measurement=lambda a, u, t, th: ([0.0, 0.0], np.eye(3)[:2], 1e-6 * np.eye(2)),
+    initial=lambda th: (
+        engine.Gaussian(np.zeros(0), np.zeros((0, 0))),
+        np.zeros(3),
+        1e-10 * np.eye(3),
+    ),
+    nonlinear={},
+    linear={"speed": "m/s", "angle": "rad", "rate": "rad/s"},
+    inputs={"motor": "N"},
+    outputs={"tacho": "m/s", "inclinometer": "rad"},
+    reference={"speed": 0.0},
+    parameters=[engine.Parameter("unused", 1.0, "", (0.0, 2.0))],
+)
+
+
+def test_it_holds_a_trolley_that_stands_where_all_is_linear():
+    """What moves the trolley was left among the linear states, and it crept: off by ten times as much."""
+    states, u = small_swings(300, 6.0)
+    series = engine.Series(states[:, :2], u, dt=STEP)
+    setting = setting_for(LINEAR_CRANE, series, np.asarray(LINEAR_CRANE.theta()))
+    extended = extend(LINEAR_CRANE, ["input-coulomb:speed->motor"], setting)
+    y = free_run(extended, extended.theta({"input_coulomb_speed__motor": 6.0}), series).y
+    off = np.sqrt(np.mean((y - states[:, :2]) ** 2, axis=0)) / states[:, :2].std(axis=0)
+    assert (off < 5e-3).all()
+
+
 def test_it_is_asked_where_an_input_moves_several_masses_one_of_them_a_rate():
     series, _ = measured(T=60)
     names = [e.name for e in all_effects(setting_for(CRANE, series, CRANE.theta()))]
