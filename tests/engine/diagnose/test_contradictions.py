@@ -9,8 +9,7 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.search import contradictions
-from engine.diagnose.search import pipeline as causes
+from engine.diagnose.search import contradictions, judgement
 from engine.diagnose.search.contradictions import already_there, folded, particle_word, undetermined
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.refits import Refit
@@ -72,7 +71,7 @@ def test_an_undetermined_size_makes_the_verdict_unknown(monkeypatch):
     series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
     named = find_causes(DRIVE, series, effects=["bias"], seed=1)
     assert named.verdict.value == "named"
-    monkeypatch.setattr(causes, "undetermined", lambda rounds: ["because"])
+    monkeypatch.setattr(judgement, "undetermined", lambda rounds: ["because"])
     again = find_causes(DRIVE, series, effects=["bias"], seed=1)
     assert again.verdict.value == "unknown"
     assert "because" in again.notes
