@@ -67,7 +67,7 @@ def rub(
         after = f[:, column] - zero(own)
         moved = np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),))
         ends = rubbed(v, after, dt * size(v, own)) if own_speed else after
-        push = dt * size(np.where(moved, v, 0.5 * (v + ends)), own)
+        push = dt * size(np.where(moved, v, 0.5 * (v + ends)), own)  # of the speed half way
         whole = -push * np.sign(v)
         if own_speed:
             stopped = np.sign(whole) * np.minimum(np.abs(whole), np.abs(v))
@@ -77,7 +77,7 @@ def rub(
             return pushed(base, {row: whole}, a, u, t, dt, record)
         f, A, Q = pushed(base, {row: np.where(moved, whole, 0.5 * whole)}, a, u, t, dt, record)
         there = f[:, column] - zero(own)
-        late = np.where(ends == 0.0, -there, 0.5 * whole)
+        late = np.where(ends == 0.0, -there, 0.5 * whole)  # what stands does so to the last bit
         if not own_speed:
             late = -0.5 * push * np.sign(there)
         f[:, row] += np.where(moved, 0.0, late)

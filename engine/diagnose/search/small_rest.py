@@ -72,7 +72,8 @@ def _seen_after(found: Search) -> float:
     if not found.alarm_left or last.equivalent:
         return 0.0
     gains = [one.gain for one in (*last.refits, last.generic) if one is not None]
-    return max(gains, default=FORESEEN * max(score.statistic for score in last.screen.scores))
+    seen = max((score.statistic for score in last.screen.scores), default=0.0)
+    return max(gains, default=FORESEEN * seen)
 
 
 def _run_error(fit: QuasiFit, series: Series) -> float:
@@ -83,5 +84,6 @@ def _run_error(fit: QuasiFit, series: Series) -> float:
         y, _ = noise_free(fit.model, theta, series, x1)
     except (EngineError, np.linalg.LinAlgError):
         return float("nan")
-    with np.errstate(over="ignore", invalid="ignore"):
-        return float(np.nanmean(np.square((series.y - y) / output_scale([series]))))
+    if not np.isfinite(y[series.observed.any(axis=1)]).all():
+        return float("nan")
+    return float(np.nanmean(np.square((series.y - y) / output_scale([series]))))

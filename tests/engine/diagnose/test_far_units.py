@@ -12,6 +12,7 @@ from engine.diagnose.free_run_fits.columns import columns, run_of
 from engine.diagnose.screening.score_columns import effect_columns
 from engine.filters.sigma_point import moment_path
 from tests.engine.other_units import Units
+from tests.engine.plain_models import tank
 
 KINDS = ["drag", "cubic", "quadratic", "force"]
 VESSEL = engine.continuous(
@@ -26,10 +27,7 @@ VESSEL = engine.continuous(
     nonlinear={"level": "m"},
     inputs={"pump": "V"},
     outputs={"y": "m"},
-    parameters=[
-        engine.Parameter("pump", 0.4, "m/s/V", (0.0, 10.0)),
-        engine.Parameter("outlet", 0.5, "m^0.5/s", (0.0, 10.0)),
-    ],
+    parameters=tank().parameters,
 )
 
 
