@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Byte code is kept whatever the environment says: the tests start a hundred processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-tape bench-continuous bench-busy-cores
+.PHONY: setup demo serve test test-long test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-tape bench-continuous bench-busy-cores
 
 setup: .venv/ready
 
@@ -25,7 +25,11 @@ serve: setup
 
 # python -m puts this folder on the path, so that worker processes can import the test modules.
 test: setup
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not long"
+
+# What takes a second or more each, which every push is checked with as well.
+test-long: setup
+	$(PYTEST) -m "long and not slow"
 
 test-all: setup
 	$(PYTEST)

@@ -74,6 +74,7 @@ def test_help_names_commands_and_exit_codes(rbps):
         assert "Exit codes: 0 done; 1" in " ".join(rbps(command, "--help").stdout.split())
 
 
+@pytest.mark.long
 def test_the_first_try_that_help_shows_works(rbps, tmp_path):
     shown = re.sub(r"\\\n", " ", rbps("--help").stdout)
     commands = [
@@ -138,6 +139,7 @@ def test_a_model_of_a_users_file(rbps, mine):
         assert rbps("models", reference, "--json").json()["inputs"] == {"push": "N"}
 
 
+@pytest.mark.long
 def test_a_model_of_a_users_package(tmp_path):
     (tmp_path / "shop.py").write_text(MINE)
     info = tmp_path / "shop-1.0.dist-info"
@@ -272,6 +274,7 @@ def test_more_iterations_after_they_were_used_up(rbps, flows, tmp_path):
     assert "--iterations 1: 4 are done already" in less.stderr
 
 
+@pytest.mark.long
 def test_an_earlier_state_is_kept(rbps, flows, tmp_path):
     for seed in (1, 2):
         assert rbps("fit", flows, "-m", "local-level", "--seed", seed, *QUICK).exit_code == 0
@@ -344,6 +347,7 @@ def test_a_step_that_is_assumed_is_said_whatever_is_quiet(rbps, tmp_path, column
 FEW = ("--effects", "step,pulse", "--seed", "1")
 
 
+@pytest.mark.long
 def test_diagnose(rbps, flows, tmp_path):
     result = rbps("diagnose", flows, "-m", "local-level", *FEW, "--report", "out.html",
                   "-o", "out.json", "--plot", "figures")  # fmt: skip
@@ -387,6 +391,7 @@ def test_diagnose_for_machines(rbps, flows):
     assert "NOTHING" in again.stdout
 
 
+@pytest.mark.long
 def test_diagnose_asks_about_extra_columns(rbps, tmp_path):
     rng = np.random.default_rng(0)
     own, rain, read = rng.standard_normal((3, 80))
@@ -401,6 +406,7 @@ def test_diagnose_asks_about_extra_columns(rbps, tmp_path):
     assert "rain" in cause["effect"]
 
 
+@pytest.mark.long
 def test_diagnose_holds_what_is_fixed(rbps, flows):
     result = rbps("diagnose", flows, "-m", "local-level", "--fix", "q=0", *FEW, "--json")
     assert result.json()["diagnosis"]["base_theta"]["q"] == 0.0
@@ -625,6 +631,7 @@ def test_an_exact_method_for_a_model_that_is_not_linear_is_wrong_usage(rbps, tmp
     assert "use quasi-newton" in result.stderr
 
 
+@pytest.mark.long
 def test_steps_that_are_too_long_are_said_and_may_be_made_shorter(rbps, run, tmp_path):
     assert rbps("new", "pendulum.py").exit_code == 0
     command = "simulate -m pendulum.py --excite torque=steps:20:1 -n 60 --dt 0.25 -o coarse.csv"
@@ -636,6 +643,7 @@ def test_steps_that_are_too_long_are_said_and_may_be_made_shorter(rbps, run, tmp
     assert refused.exit_code == 2
 
 
+@pytest.mark.long
 def test_a_column_that_may_hold_the_times_is_pointed_out(rbps, flows, tmp_path):
     """A step of 1 that nobody asked for is said, and with which column it would not be."""
     lines = (tmp_path / flows).read_text().splitlines()

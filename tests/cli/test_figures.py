@@ -38,6 +38,7 @@ def curves(figure):
     return out
 
 
+@pytest.mark.long
 def test_convergence_shows_every_free_parameter(estimate):
     drawn = curves(estimate.plot()["convergence"])
     assert set(drawn) == {
@@ -90,6 +91,7 @@ def test_runs_and_smoothers(level):
     assert set(fit.plot()) == {"outputs-1", "states-1", "outputs-2", "states-2"}
 
 
+@pytest.mark.long
 def test_save_writes_both_formats(estimate, tmp_path):
     written = estimate.plot().save(tmp_path / "figures")
     assert [path.name for path in written] == ["convergence.svg", "convergence.png"]
@@ -107,6 +109,7 @@ def test_long_curves_are_pixels_within_an_svg(tmp_path):
     assert path.stat().st_size < 1_000_000
 
 
+@pytest.mark.long
 def test_without_matplotlib_the_extra_is_named(tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
@@ -118,6 +121,7 @@ def test_without_matplotlib_the_extra_is_named(tmp_path):
     assert run.stdout == "figures need matplotlib: pip install 'rbps[plot]'\n"
 
 
+@pytest.mark.long
 def test_what_loads_slowly_is_not_imported_with_the_engine():
     code = "import sys, engine; print({'matplotlib', 'scipy.stats'} & {*sys.modules})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -48,6 +48,7 @@ def test_those_of_a_model_whose_times_are_no_seconds(rbps):
     assert [p["unit"] for one in kinds for p in one["parameters"]] == ["min"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("typed", "offered", "others"),
     [("rbps di", ["diagnose"], ["fit"]), ("rbps fit -m local", ["local-level"], ["servo"])],

@@ -11,6 +11,7 @@ from engine.models.files import model_from
 from tests.cli.test_commands import MINE
 
 
+@pytest.mark.long
 def test_what_is_written_runs_as_it_is(rbps, tmp_path):
     result = rbps("new", "pendulum.py")
     assert result.exit_code == 0, result.output

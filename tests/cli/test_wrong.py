@@ -174,6 +174,7 @@ def test_a_model_that_changed_since(rbps, folder):
     assert "mine.py has changed since the estimation began" in result.stderr
 
 
+@pytest.mark.long
 def test_a_diagnosis_of_data_or_by_a_version_that_changed_since(rbps, folder):
     asked = ("diagnose", "flows.csv", *LEVEL, "--effects", "step", "--state", "kept.state")
     assert rbps(*asked).exit_code == 0

@@ -43,6 +43,7 @@ def test_the_readme_is_short_and_its_links_lead_somewhere():
                 assert (page.parent / link).exists(), (page.name, link)
 
 
+@pytest.mark.long
 def test_from_equations_to_a_model(capsys):
     """The tutorial's blocks one after the other: the check is content, and the values are found again."""
     text = (ROOT / "service" / "guide" / "pages" / "equations.md").read_text(encoding="utf-8")
@@ -70,11 +71,13 @@ def test_the_designed_experiment(capsys):
     assert names["design"].probability > 0.95
 
 
+@pytest.mark.long
 def test_the_measured_record_in_short(capsys):
     _, printed = run("found.gain.adopt)  # named step:flow True", capsys)
     assert printed == "named step:flow True\n"
 
 
+@pytest.mark.long
 def test_the_measured_record(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "service" / "guide" / "pages" / "measured.md").read_text(encoding="utf-8")

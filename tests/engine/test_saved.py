@@ -246,6 +246,7 @@ def test_a_general_model_with_other_noise_is_refused(tmp_path):
         engine.load(saved, model=heavy)
 
 
+@pytest.mark.long
 def test_a_diagnosis_in_a_file_and_pickled(clear_diagnosis, tmp_path):
     def told(found):
         document = found.to_dict()

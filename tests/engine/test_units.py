@@ -125,6 +125,7 @@ def test_the_exact_smoother(name, data):
     assert (np.abs(two.P - one.P * D) <= floor + 1e-6 * np.abs(one.P * D)).all()
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings(
     "ignore::engine.NotSettledWarning"
 )  # after few steps nothing has settled

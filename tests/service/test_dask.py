@@ -211,6 +211,7 @@ def test_members_of_a_cluster_show_certificates(
         cluster.stop()
 
 
+@pytest.mark.long
 def test_what_ends_after_the_service_has_stopped_is_let_alone(store):
     from service.dask_runner import DaskRunner  # which takes a second to load
 

@@ -34,6 +34,7 @@ def request(data, **options):
     }
 
 
+@pytest.mark.long
 def test_a_diagnosis_from_post_to_results_and_its_extension_used_at_once(client, ended, pushed):
     url = client.post("/jobs", json=request(pushed)).headers["location"]
     job = ended(client, url, 120.0)
@@ -281,6 +282,7 @@ def test_several_records_and_several_held_out_ones(client, ended, pushed):
     assert wrong.json()["errors"][0]["field"] == "test[1].y"
 
 
+@pytest.mark.long
 def test_the_list_of_jobs_says_what_was_found(clear_diagnosis):
     """The cause with its size, not that there is one."""
     said = in_a_line(clear_diagnosis)

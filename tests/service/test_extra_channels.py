@@ -24,6 +24,7 @@ REQUEST = {
 }
 
 
+@pytest.mark.long
 def test_a_diagnosis_names_it_and_the_extended_model_uses_it(client, ended, wet):
     flow, rain, _ = wet
     series = {"y": [[v] for v in flow], "extra": {"rain": rain.tolist()}}

@@ -46,6 +46,7 @@ def operations(serve, tmp_path_factory):
     served.stop()
 
 
+@pytest.mark.long
 def test_nothing_is_left_out(operations):
     assert set(operations) == set(CALLS)
 
@@ -53,6 +54,7 @@ def test_nothing_is_left_out(operations):
 THOROUGH = pytest.mark.parametrize("examples", [6, pytest.param(40, marks=pytest.mark.slow)])
 
 
+@pytest.mark.long
 @THOROUGH
 @pytest.mark.parametrize(
     ("call", "mode"),
@@ -91,6 +93,7 @@ ACCEPTED = [
 ]
 
 
+@pytest.mark.long
 def test_calls_one_after_the_other(operations):
     """What one call made, the next ones use: watched, stopped, resumed, removed, in any order."""
     asked, wrong = [], []
@@ -152,6 +155,7 @@ KINDS = {
 }
 
 
+@pytest.mark.long
 @THOROUGH
 @pytest.mark.parametrize("mode", list(GenerationMode), ids=str)
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,6 +8,7 @@ def _without_times(results):
     return results
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["rbps-em", "quasi-newton"])
 def test_more_iterations_give_the_digits_of_one_long_run(client, estimation, ended, method):
     short = estimation(method=method, iterations=2, particles=10)

@@ -38,6 +38,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.long
 def test_every_page_is_served_and_every_link_of_it_leads_somewhere(client):
     assert {path.stem for path in PAGES.glob("*.md")} == set(ORDER)
     pages = {name: Page(content(name)) for name in ORDER}

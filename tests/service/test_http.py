@@ -98,6 +98,7 @@ def test_thinning_keeps_the_extremes(client, ended):
     assert all(pairs[t] == value for t, value in zip(thin["t"], thin["y"]["y"], strict=True))
 
 
+@pytest.mark.long
 def test_a_model_with_a_long_name(client, estimation):
     """Of more than 200 characters; also before the first estimate names its parameters."""
     states = ("colored", "coulomb", "cubic", "deadzone", "drag", "hysteresis", "stribeck")
@@ -438,6 +439,7 @@ def test_drain_on_shutdown(make_client, estimation, wait):
     assert again.get(url).json()["status"] == "successful"
 
 
+@pytest.mark.long
 def test_run_seconds_of_a_job(client, long, ended, wait):
     url = client.post("/jobs", json=long | {"run_seconds": 0.5}).headers["location"]
     job = ended(client, url)

@@ -158,6 +158,7 @@ def test_limits(make_client, estimation, long):
     assert client.post("/jobs", json=small).status_code == 201
 
 
+@pytest.mark.long
 def test_studies_cost_no_more_than_allowed(make_client, estimation):
     """By what all runs together compute, not by their number."""
     client = make_client(max_cost=1e6, workers=1)

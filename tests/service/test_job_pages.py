@@ -25,6 +25,7 @@ def url(client, data):
     return client.post("/jobs", json=request).headers["location"]
 
 
+@pytest.mark.long
 def test_one_address_two_forms(client, url, ended):
     assert ended(client, url)["status"] == "successful"
     page = client.get(url, headers={"Accept": BROWSER})
@@ -272,6 +273,7 @@ def test_others_see_neither_report_nor_tasks(make_client, tmp_path, estimation, 
     assert 'data-keys="needed"' in page.text
 
 
+@pytest.mark.long
 def test_what_is_shown_of_a_diagnosis_is_in_its_results(client, ended, data):
     y = [[row[0] + (5.0 if i >= 30 else 0.0)] for i, row in enumerate(data)]
     request = {

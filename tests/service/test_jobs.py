@@ -13,6 +13,7 @@ FIELDS = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_estimate_from_post_to_results(client, estimation, ended):
     answer = client.post("/jobs", json=estimation())
     assert answer.status_code == 201
@@ -113,6 +114,7 @@ def test_simulate_draws_and_free_run(client, ended):
     assert free["rmse"] == pytest.approx(((1.0 + 1.8**2) / 2) ** 0.5)
 
 
+@pytest.mark.long
 def test_results_before_the_end_cancel_and_list(client, long, wait, eventually):
     url = client.post("/jobs", json=long).headers["location"]
     early = client.get(f"{url}/results")
@@ -164,6 +166,7 @@ def test_list_pages_newest_first(client, estimation, ended):
         ended(client, f"/jobs/{job}")
 
 
+@pytest.mark.long
 def test_queue_is_first_in_first_out(make_client, estimation, ended):
     client = make_client(workers=1)
     urls = [client.post("/jobs", json=estimation(seed=i)).headers["location"] for i in range(5)]

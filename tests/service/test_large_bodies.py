@@ -174,6 +174,7 @@ def test_an_encoded_body_is_refused(client):
     assert (answer.status_code, answer.headers["accept-encoding"]) == (415, "identity")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "value",
     [

@@ -52,6 +52,7 @@ def test_a_runner_that_is_warm_before_there_is_a_supervisor(tmp_path, monkeypatc
     assert failed == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("times", [1, processes.START_TRIES])
 def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
     """It is replaced; where its successors die as well, the task goes back and nothing is lost."""
@@ -100,6 +101,7 @@ assert begun.wait(60)
 """
 
 
+@pytest.mark.long
 def test_a_process_that_ends_meanwhile_says_nothing():
     command = [sys.executable, "-c", ENDS_WHILE_IT_STARTS]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=600)

@@ -71,6 +71,7 @@ def test_filters(listed):
     assert found(owner="other") == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sort", "order"),
     [

@@ -28,6 +28,7 @@ def test_keys_are_described_where_they_are_needed(client, make_client, tmp_path)
     assert "securitySchemes" not in plain["components"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_are_accepted_and_run_to_the_end(client, ended, name):
     operation = client.get("/openapi.json").json()["paths"]["/jobs"]["post"]

@@ -120,6 +120,7 @@ def test_preview_says_what_is_wrong_with_dates(client):
     assert "line 4, column 'day': '2024-05-01 00:x' is not a date" in found["time"]["problem"]
 
 
+@pytest.mark.long
 def test_preview_is_thin_and_keeps_extremes_and_gaps(client):
     y = np.sin(np.arange(100_000) / 500.0)
     y[[31_111, 67_890]] = 5.0, -5.0

@@ -141,6 +141,7 @@ def test_a_disk_that_stays_full_for_the_worker(spawn, catch, long, ended):
     assert problem["detail"] == job["message"]
 
 
+@pytest.mark.long
 def test_an_unwritable_state_directory_is_said(tmp_path):
     import subprocess
 

@@ -113,6 +113,7 @@ def test_the_progress_of_a_diagnosis_is_in_step_with_its_work(passes):
             assert 1 / 3 < shown / work < 3, (name, shown, work)
 
 
+@pytest.mark.long
 def test_a_job_goes_through_its_stages_and_never_back(client, estimation, eventually):
     request = estimation(particles=60, iterations=15, standard_errors=True)
     url = client.post("/jobs", json=request).headers["location"]

@@ -35,6 +35,7 @@ class Clocks:
         return self.now
 
 
+@pytest.mark.long
 def test_data_go_after_their_time(store):
     old = {ended(store, how): how for how in ("finish", "fail", "stop")}
     finished = store.job(next(iter(old))).finished

@@ -36,6 +36,7 @@ def a_folder(folder):
 SLOW = pytest.mark.slow  # each starts a process
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "spoil",
     [pytest.param(corrupt, marks=SLOW), locked_away, pytest.param(a_folder, marks=SLOW)],
@@ -44,6 +45,7 @@ def test_a_store_that_cannot_be_used(tmp_path, spoil, match):
     match(spoil(tmp_path), started(tmp_path))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [

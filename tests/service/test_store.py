@@ -419,6 +419,7 @@ def is_stopped_in_the_queue(store, made):
     return []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ends", [fails, is_lost, is_stopped, is_stopped_in_the_queue])
 def test_what_ended_before_its_result_goes_on(store, ends):
     made = store.create("estimate", "linear-2", {"n": 1}, 100, stages=[2, 1])

@@ -79,6 +79,7 @@ def test_a_pause_of_the_process_is_nobody_s_turn(clock):
     assert turns.look(running, {"b"}) == (None, None)
 
 
+@pytest.mark.long
 @settings(max_examples=50, deadline=None)
 @given(
     places=st.integers(1, 5),

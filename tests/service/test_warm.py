@@ -6,6 +6,8 @@ Nor for a web framework, which neither a worker nor a command needs.
 import subprocess
 import sys
 
+import pytest
+
 # in a process of its own, for other tests of this one may have compiled or loaded what is missing
 SCRIPT = """
 import sys
@@ -56,5 +58,6 @@ for name in ("mixed-4", "linear-2", "tanks"):
 """
 
 
+@pytest.mark.long
 def test_no_kind_of_job_calls_a_kernel_that_is_not_compiled_ahead():
     subprocess.run([sys.executable, "-c", SCRIPT], check=True, timeout=900)

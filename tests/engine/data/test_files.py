@@ -169,6 +169,7 @@ def test_missing_file_and_unknown_ending(tmp_path):
         write_series(Series([1.0, 2.0]), tmp_path / "a.xls")
 
 
+@pytest.mark.long
 def test_arrays_of_npz_and_mat():
     y, u = np.arange(6.0).reshape(3, 2), np.arange(3.0)
     for data, name in ((npz(y=y, u=u, dt=0.1), "a.npz"), (mat(y=y, u=u, dt=0.1), "a.mat")):
@@ -239,6 +240,7 @@ def test_written_csv_gives_unrecognised_names_a_prefix(tmp_path):
     assert read_series(tmp_path / "a.csv").y_names == ("y_flow",)
 
 
+@pytest.mark.long
 def test_hundred_thousand_rows_take_about_as_long_as_numpy_does(tmp_path):
     """In time of the processor, of which others who use it take none."""
     path = tmp_path / "long.csv"

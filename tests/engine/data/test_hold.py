@@ -146,6 +146,7 @@ def test_a_finer_grid_follows_the_input(hold):
         assert max(off) < 1e-6 * np.ptp(exact)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("name", ["a.csv", "a.npz", "a.mat"])
 def test_files_keep_it(tmp_path, hold, name):

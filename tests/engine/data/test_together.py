@@ -57,6 +57,7 @@ def test_particles_begin_each_record_anew():
     assert np.mean([one.log_likelihood for one in filters]) == pytest.approx(value, abs=1.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("channel", ["level", "upper"])
 def test_so_do_those_that_know_outliers(channel):
     model, theta, each = records("tanks")
@@ -84,6 +85,7 @@ def test_records_put_together_come_apart_again(k):
     assert part.begins == (10, 60)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param("tanks", marks=pytest.mark.slow), "servo"])
 def test_the_footprint_of_every_effect_is_that_in_each(name):
     model, theta, each = records(name)

@@ -60,6 +60,7 @@ def test_units_as_they_are_written():
     ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["csv", "npz", "mat"])
 def test_the_unit_of_time_is_kept_in_files(tmp_path, ending):
     series = engine.Series([1.0, 2.0, np.nan], dt=0.5, time_unit="day")
@@ -186,6 +187,7 @@ def numbers(value):
     return [value] if isinstance(value, float) else []
 
 
+@pytest.mark.long
 def test_the_unit_of_time_changes_printed_units_and_no_number(found):
     by_year, by_second = (found[unit].to_dict() for unit in ("year", "s"))
     assert numbers(by_year) == numbers(by_second)

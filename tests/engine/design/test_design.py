@@ -32,6 +32,7 @@ def made():
     return _designed()
 
 
+@pytest.mark.long
 def test_the_design_tells_what_it_is_for(made):
     assert made.causes == tuple(CAUSES)
     assert made.u.shape == (200, 1)
@@ -179,6 +180,7 @@ def test_the_sensor_that_tells_twins_apart_is_the_best_of_those_named():
     assert "upper" in str(made)
 
 
+@pytest.mark.long
 def test_another_sensor_is_named_where_one_helps():
     spring = engine.get_model("oscillator")
     bounds = {"inputs": {"drive": [-0.02, 0.02]}, "dt": 0.05, "sigmas": 0}

@@ -32,6 +32,7 @@ def found():
     return engine.diagnose(DRIVE, record(1), effects=["harmonic:speed", "step"], seed=1)
 
 
+@pytest.mark.long
 def test_the_amplitude_is_found_and_said(found, tmp_path):
     (cause,) = found.causes
     assert cause.effect == "harmonic:speed"

@@ -31,12 +31,14 @@ def looked_at(bad):
     return diagnose(LEVEL, readings(bad), effects=["pulse", "heavy-tails", "step", "level"], seed=1)
 
 
+@pytest.mark.long
 def test_one_bad_reading_is_said_to_be_one():
     found = looked_at({150: 9.0})
     (output,) = LEVEL.outputs
     assert found.causes[0].equivalent[0] == f"pulse:{output}"
 
 
+@pytest.mark.long
 def test_the_largest_of_several_bad_readings_is_not_the_cause():
     """The largest alone gains more than a share of outliers does, of which there are few."""
     found = looked_at({150: 10.0, 40: -4.5, 230: 4.5, 270: -5.0})
@@ -56,6 +58,7 @@ def test_a_bad_last_reading_is_told_beside_the_force_that_looks_the_same():
     assert found.causes[0].parameters[f"pulse_{output}_time"] == N - 1
 
 
+@pytest.mark.long
 def test_a_bad_first_reading_is_said_to_be_one():
     known = replace(LEVEL, initial=lambda theta: (None, [1000.0], [[100.0]]))
     kinds = ["pulse", "heavy-tails", "step"]

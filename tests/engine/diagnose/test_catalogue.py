@@ -117,6 +117,7 @@ def test_two_effects_with_states_of_their_own_have_as_many_names_as_states():
         assert extended.nx == one.apply(model).nx + other.apply(model).nx - model.nx
 
 
+@pytest.mark.long
 def test_many_sizes_at_once_are_what_each_is_alone():
     model, setting, series = mixed_case()
     k = len(model.parameters)

@@ -126,6 +126,7 @@ def kept(parts_of_step):
     return json.loads(parts_of_step)
 
 
+@pytest.mark.long
 def test_what_was_kept_of_another_diagnosis_is_refused(kept):
     flows = clear_flows()
     options = STEP | {"kept": kept}

@@ -113,6 +113,7 @@ def test_nor_are_those_that_hold_some_function_of_it_or_for_some_of_the_time(par
     assert sum(p < 0.01 for p in p_values) < 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("later", [False, True])
 def test_a_controller_is_no_direct_path(later):
     series = record(3, closed=True, later=later)
@@ -128,6 +129,7 @@ def test_where_nothing_else_is_asked_for_no_cause_is_named():
     assert found.gain is None or not found.gain.adopt
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_direct_path_is_named_where_the_input_is_given(seed):
     found = engine.diagnose(
@@ -153,6 +155,7 @@ def test_the_level_is_kept_where_the_input_is_given_from_outside():
     assert np.mean(np.array(values) < 0.05) < 0.07
 
 
+@pytest.mark.long
 def test_inputs_that_answer_are_known():
     for closed in (False, True):
         for seed in range(6):

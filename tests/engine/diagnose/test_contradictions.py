@@ -116,6 +116,7 @@ def test_a_particle_filter_that_scatters_widely_has_no_figure(monkeypatch):
     assert "0000" not in text
 
 
+@pytest.mark.long
 def test_a_contradiction_makes_the_verdict_unknown(monkeypatch):
     series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
     asked = {"effects": ["bias"], "seed": 1}

@@ -46,6 +46,7 @@ def test_half_of_twice_as_late_is_told_as_all_of_it():
     assert told.gain > found.gain - 4.0
 
 
+@pytest.mark.long
 def test_an_echo_is_no_delay():
     """Half of the reading as it is, half of it long after: no delay reads so, and the next best leads."""
     found, series = refit(lambda x: 0.5 * x + 0.5 * shifted(x, 8))

@@ -39,6 +39,7 @@ def test_the_step_is_named_that_the_bent_fit_does_not_lead_to(found):
     assert best.gain > max(other.gain for other in others) + 10.0
 
 
+@pytest.mark.long
 def test_gains_from_elsewhere_are_those_over_the_same_fit(found):
     base = found.search.base.log_likelihood
     for one in found.search.rounds[0].refits:

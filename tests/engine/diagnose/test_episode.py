@@ -59,6 +59,7 @@ def record(seed, cold, begin=BEGIN, end=END):
     return engine.Series(y, u, dt=2.0, time_unit="min", **names)
 
 
+@pytest.mark.long
 def test_an_open_door_has_a_beginning_and_an_end():
     kinds = ["episode", "step", "pulse", "variance", "level"]
     found = diagnose(room(), record(1, 0.12), effects=kinds, seed=1, held_out=0)
@@ -115,6 +116,7 @@ def test_a_door_open_for_half_of_the_record_is_no_step_beside_another_episode():
     assert abs(cause.size + 0.12) < 3.0 * cause.standard_error
 
 
+@pytest.mark.long
 def test_none_is_seen_where_none_was():
     p_values = []
     for seed in range(8):

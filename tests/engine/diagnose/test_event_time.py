@@ -46,6 +46,7 @@ def record(quiet):
     return engine.Series(np.array(y), u=u, dt=1.0, time_unit="min")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("quiet", [True, False])
 def test_a_step_while_nothing_happens_has_a_range_of_times(quiet):
     found = diagnose(room(), record(quiet), effects=["parameter-step"], seed=1, held_out=0)

@@ -9,6 +9,7 @@ from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.substeps import choose
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["oscillator", "local-level"])
 def test_no_effect_that_a_model_has_is_offered_again(name: str) -> None:
     model = engine.get_model(name)

@@ -28,6 +28,7 @@ def gains(first, kinds):
     return {r.effect.name: r for r in found.search.rounds[0].refits}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("first", "kinds"),
     [(1e6, ["harmonic"]), *(pytest.param(t, KINDS, marks=pytest.mark.slow) for t in (1900.0, 1e6))],
@@ -45,6 +46,7 @@ def test_refits_gain_the_same_whenever_time_begins(first, kinds):
     assert 1.0 / theta["harmonic_flow_frequency"] == pytest.approx(17.0, rel=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("apart", [1.0, 0.05])
 def test_the_time_of_a_step_can_be_read_on_a_clock_that_began_in_1970(apart, tmp_path):
     """Seconds of such a clock have ten digits, and a step is where it is by its last ones."""

@@ -65,6 +65,7 @@ def in_the_run(power):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("power", [-30.0, 10.0, 20.0])
 @pytest.mark.parametrize("asked", [screened, in_the_run])
 def test_effects_are_seen_alike_in_any_unit(asked, power):

@@ -54,6 +54,7 @@ def seen(effect, size, place):
     return Score(effect, 100.0, size, 0.1 * size, 1e-9, 1.0, (place,))
 
 
+@pytest.mark.long
 def test_a_zero_elsewhere_is_estimated_whichever_side_it_was_seen_from(decaying):
     model = mixer()
     fit = quasi_ml(model, decaying)

@@ -149,6 +149,7 @@ def test_a_long_record_is_not_searched_where_the_model_knows_nothing_of_its_star
     assert rows_searched(unknown, None, None, series) == (begin, end)
 
 
+@pytest.mark.long
 def test_how_a_record_begins_says_nothing_of_another_one():
     """It is judged on rows of its own record; a test record later on begins as the model says."""
     model, series = cell(500, np.random.default_rng(2))

@@ -189,6 +189,7 @@ def loaded(continuous):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("channels", [{}, {"x": (1e9, 0.0), "v": (1e3, 0.0), "y": (1e9, 0.0)}])
 def test_the_likelihood_of_friction_needs_no_short_steps(channels):
     x, u = measured()

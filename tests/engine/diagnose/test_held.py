@@ -40,6 +40,7 @@ def heated(seed=3, n=200):
 KINDS = ["held", "linear", "path", "drag", "bias", "lag"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("first", "named"), [(20.0, ["held:tau"]), (25.0, [])])
 def test_a_time_constant_that_was_held(first, named):
     """Where it was right nothing is said of it; wrong, it was named a linear rate beside it before."""

@@ -178,6 +178,7 @@ def test_a_record_that_tells_less_than_the_last_part_of_the_longest_is_not_held_
     assert records_of(LEVEL, few, None)[1].kept_back == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("begins", "used"), [(120.0, True), (0.0, False), (1e5, False)])
 def test_tests_that_do_not_follow_the_record_do_not_judge_what_comes_with_time(begins, used):
     """A drift that would have gone on for a day is none of them; it is said that they were not used."""

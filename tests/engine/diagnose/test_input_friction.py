@@ -219,6 +219,7 @@ OTHER = Units(
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("units", "size"), [(SI, 3.0), (OTHER, 3e-3)])
 def test_a_screen_sees_it_and_not_either_mass_alone(units, size):
     model, series = units.converted(), units.series(measured(friction=3.0)[0])

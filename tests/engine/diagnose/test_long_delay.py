@@ -44,6 +44,7 @@ def record(late, seed=1):
     return engine.Series(y, u=u, dt=1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("late", [0, pytest.param(LATE, marks=pytest.mark.slow)])
 def test_a_valve_that_is_seven_samples_late_is_found(late):
     found = engine.diagnose(TANK, record(late), effects=["delay", "direct", "lag", "path"], seed=1)

@@ -118,6 +118,7 @@ def test_a_refit_that_was_cut_off_rules_nothing_out(looked_back, monkeypatch):
         )
 
 
+@pytest.mark.long
 def test_a_start_that_cannot_be_followed_comes_last(record):
     """Whether its likelihood is no number or the model refuses it; then a rival was silently left out."""
     base, series, _ = record

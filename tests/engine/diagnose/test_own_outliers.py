@@ -17,12 +17,14 @@ def record(seed: int) -> engine.Series:
     return engine.simulate(KNOWING, None, 300, np.random.default_rng(seed)).series
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [pytest.param(101, marks=pytest.mark.slow), 103])
 def test_a_model_that_knows_its_outliers_lacks_nothing(seed):
     found = engine.diagnose(KNOWING, record(seed), seed=seed)
     assert found.verdict.value == "nothing", str(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [pytest.param(101, marks=pytest.mark.slow), 103])
 def test_what_outliers_gain_on_held_out_data_is_what_particles_say(seed):
     """By the filter that knows them, not by one that takes the noise for Gaussian and loses there."""

@@ -39,6 +39,7 @@ def test_the_answer_does_not_depend_on_their_number(alone, monkeypatch):
     assert answer(3) == alone
 
 
+@pytest.mark.long
 def test_what_was_stopped_goes_on_with_another_number_of_them(alone):
     kept, seen = {}, []
 

@@ -82,6 +82,7 @@ def test_they_do_in_any_unit_of_time_and_whenever_it_began(records, unit):
     np.testing.assert_array_equal(moved[2].t, early[2].t)
 
 
+@pytest.mark.long
 def test_a_sensor_that_was_off_in_one_of_three_records(found, records):
     """Once it was named a drifting parameter and a pole: nothing that holds throughout looks like it.
 

@@ -114,6 +114,7 @@ def test_which_of_many_records_is_wrong_is_said(parts):
         ask(parts[0].replace(y=np.full((200, 1), np.nan)))
 
 
+@pytest.mark.long
 def test_a_test_on_another_clock_is_refused(parts):
     hours = parts[1].replace(time_unit="h")
     with pytest.raises(SeriesError, match="in s, of another in h"):
@@ -224,6 +225,7 @@ def levels(n, seed, begins, step=0.0):
     return Series(y, t=begins + np.arange(float(n)), y_names=series.y_names)
 
 
+@pytest.mark.long
 def test_a_step_in_one_record_is_judged_where_it_acts():
     """On the longest record alone, which knows nothing of it, it could gain nothing."""
     records = [levels(120, 1, 1000.0), levels(100, 2, 2000.0, 150.0)]

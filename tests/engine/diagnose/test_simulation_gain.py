@@ -94,6 +94,7 @@ def wandering():
     )
 
 
+@pytest.mark.long
 def test_a_run_that_noise_took_further_off_is_no_worse():
     """Of 60 records of the extended model itself, 120 rows each, about a run that is 0.4 m off before."""
     model = wandering()

@@ -239,6 +239,7 @@ def test_as_many_steps_in_units_far_apart(drag, steps):
     assert steps_for_sizes(["drag:speed"], fit, series, setting, 4, NOTHING) == steps
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("drag", "steps"), [(1.5, 2), (0.3, 1)])
 def test_sizes_need_steps_of_which_shorter_ones_move_nothing(drag, steps):
     """A strong drag on a nearly noise-free record; one whose error of the step is none."""

@@ -490,6 +490,7 @@ def test_steps_enough_for_the_model_may_be_too_few_for_what_was_found():
     assert is_enough(model, theta, measured, 16)
 
 
+@pytest.mark.long
 def test_how_many_steps_are_enough_has_nothing_to_do_with_the_unit_of_time():
     """An effect of size 1 in seconds is far too large for a step of five minutes: its error says nothing."""
     u = np.repeat(np.random.default_rng(2).uniform(0.0, 2.0, 10), 12)

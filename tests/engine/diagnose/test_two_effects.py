@@ -123,6 +123,7 @@ def test_looking_back_loses_nothing_that_was_found(monkeypatch):
     assert final.log_likelihood > search.final.log_likelihood - 0.01
 
 
+@pytest.mark.long
 def test_every_cause_has_the_size_that_the_extended_model_has():
     """Not that of the round that found it, in whose fit what was found later is mixed: 0.46 there, not 0.42."""
     rng, names = np.random.default_rng(0), ["step:reading", "heavy-tails:reading"]

@@ -1,6 +1,7 @@
 """A sensor that clips at both ends, while the middle of its record is far from the middle between them."""
 
 import numpy as np
+import pytest
 
 import engine
 from engine.diagnose.search.pipeline import find_causes
@@ -28,6 +29,7 @@ AMPLIFIER = engine.continuous(
 )
 
 
+@pytest.mark.long
 def test_both_limits_are_found_where_the_record_is_mostly_near_one_of_them():
     """Mirrored about the record's median the other limit is out of reach, and rectification stood in for it."""
     rng = np.random.default_rng(0)

@@ -440,6 +440,7 @@ def test_a_model_that_is_not_registered_is_not_got_by_its_name(named):
     assert "series.refined(4)" in in_the_library(finer)
 
 
+@pytest.mark.long
 def test_parameters_that_a_bound_has_stopped_have_no_standard_error(named):
     for fit in (named.search.base, named.search.final):
         theta = fit.theta.asdict()

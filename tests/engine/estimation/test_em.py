@@ -54,6 +54,7 @@ def test_agrees_with_exact_em_on_linear_2():
     assert np.all(np.diff(exact.log_likelihood) > -1e-9)  # exact EM never descends
 
 
+@pytest.mark.long
 def test_exact_em_ends_once_it_has_settled_and_not_before():
     series = SERIES.part(0, 30)
     found = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=50, method="em")
@@ -65,6 +66,7 @@ def test_exact_em_ends_once_it_has_settled_and_not_before():
     assert few.theta[0] == few.trace[-1, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "warm_start"),
     [
@@ -137,6 +139,7 @@ def test_other_exceptions_of_a_callback_reach_the_caller():
         rbps_em(MODEL, SERIES.part(0, 40), n_iterations=2, callback=callback, **SHORT)
 
 
+@pytest.mark.long
 def test_only_the_free_parameters_move():
     model = theta_everywhere()
     series = Series(draw(model, np.zeros((30, 0)), np.arange(30.0), np.random.default_rng(0)))
@@ -161,6 +164,7 @@ def test_iterates_keep_to_the_bounds():
         assert result.trace[:, 1].min() >= 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("smoother", ["exact", "algorithm-3"])
 @pytest.mark.parametrize("resampling", ["multinomial", "residual"])
 def test_all_smoothers_and_schemes_run_to_the_same_place(smoother, resampling):
@@ -279,6 +283,7 @@ def test_a_run_that_is_no_longer_finite_has_diverged():
     np.testing.assert_array_equal(result.trace[0], result.trace[1])
 
 
+@pytest.mark.long
 def test_the_log_likelihood_is_printed_with_its_monte_carlo_error():
     series = SERIES.part(0, 100)
     settled = rbps_em(MODEL, series, [0.3], n_particles=25, n_iterations=200, method="em")
@@ -301,6 +306,7 @@ def test_the_log_likelihood_is_printed_with_its_monte_carlo_error():
     assert f"iteration: {exact.log_likelihood[-1]:.2f}." in str(exact)
 
 
+@pytest.mark.long
 def test_a_parameter_that_acts_in_a_later_record_only_is_estimated_from_it():
     """Whatever comes first: it was held where the first record did not need it, and the noise grew instead."""
 

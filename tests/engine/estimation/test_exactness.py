@@ -104,6 +104,7 @@ def test_errors_fall_like_one_over_root_m(case):
         assert errors[name][-1] < (0.25 if name == "log-likelihood" else 0.05), errors[name]
 
 
+@pytest.mark.long
 def test_bootstrap_and_adapted_agree_in_distribution():
     """Both converge to the same exact answers; the adapted proposal has the smaller error."""
     model = CASES["common"]

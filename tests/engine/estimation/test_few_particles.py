@@ -106,6 +106,7 @@ def test_where_more_particles_cannot_be_had_it_says_which_filter_says_what(monke
     assert fell
 
 
+@pytest.mark.long
 def test_iterates_that_wandered_off_are_not_the_estimate():
     """Of which the last is far less likely than those before it, by both filters."""
     trace = np.array([QUIET, QUIET, QUIET])
@@ -131,6 +132,7 @@ def outlying():
     return replace(model, random_scales=()), engine.Series(y)
 
 
+@pytest.mark.long
 def test_a_moment_filter_that_is_wrong_has_no_say():
     """It takes outliers for a large variance; the particle filter follows both and knows better."""
     model, series = outlying()
@@ -145,6 +147,7 @@ def test_a_moment_filter_that_is_wrong_has_no_say():
     np.testing.assert_array_equal(found.theta, heavy)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, pytest.param(6, marks=pytest.mark.slow)])
 def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
     """The scores of few particles are far off with next to no process noise; the moment filter is exact."""
@@ -157,6 +160,7 @@ def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
     assert re.search(r"exact likelihood, 1\d nats above", found.message)
 
 
+@pytest.mark.long
 def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():
     """It takes outliers for a large variance, and would move to it from the particles' estimate."""
     model, series = outlying()
@@ -171,6 +175,7 @@ def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():
     assert found is at
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("bounds", "moved"), [((0.1, 5.0), 0.1), pytest.param((0.0, 0.2), 0.05, marks=pytest.mark.slow)]
 )

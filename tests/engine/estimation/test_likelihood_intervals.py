@@ -27,6 +27,7 @@ def exact_ends(model, series, top, low, high):
     return [brentq(above, low, top_at, xtol=1e-6) for low, top_at in (low, high)]
 
 
+@pytest.mark.long
 def test_exact_interval_is_where_the_likelihood_has_fallen(linear):
     model, series, best = linear
     at = best.theta["theta"]
@@ -87,6 +88,7 @@ def test_other_parameters_are_maximised_over(free):
             assert profile - best.log_likelihood == pytest.approx(-FALL, abs=0.12)
 
 
+@pytest.mark.long
 def test_confidence_widens_and_wrong_ones_are_refused(linear):
     model, series, best = linear
     errors = engine.standard_errors(model, best.theta, series, exact=True)

@@ -42,6 +42,7 @@ def log_likelihood(tau, series, q, r=1e-4):
     return out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("q", [1e-4, 1e-6, 1e-8, 1e-10])
 def test_exact_standard_errors_are_the_curvature_however_little_the_noise(q):
     """With little noise the data hold a millionth of the complete-data information, which errors began at."""
@@ -54,6 +55,7 @@ def test_exact_standard_errors_are_the_curvature_however_little_the_noise(q):
     assert stated.values[0] == pytest.approx(by_hand, rel=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "q", [*(pytest.param(q, marks=pytest.mark.slow) for q in (1e-4, 1e-6, 1e-8)), 1e-10]
 )
@@ -68,6 +70,7 @@ def test_particles_standard_errors_are_the_curvature_however_little_the_noise(q)
     assert stated.settled
 
 
+@pytest.mark.long
 def test_how_far_the_maximum_is_does_not_drown_with_the_scores():
     """Two standard errors off the maximum that is said, whatever the particles' scores are."""
     model, series = lag(1e-8), record()

@@ -49,6 +49,7 @@ def test_standard_errors_say_so():
     assert TOO_LONG in errors._repr_html_().replace("&#x27;", "'").replace("&#39;", "'")
 
 
+@pytest.mark.long
 def test_a_diagnosis_that_finds_nothing_says_so():
     """Its own steps are short enough for effects, and not for the parameters that it shows."""
     found = engine.diagnose(pendulum(), swings(), effects=["bias"], held_out=0)

@@ -78,6 +78,7 @@ def in_logs(theta):
     return np.append(values[:2], np.log(values[2:]))
 
 
+@pytest.mark.long
 def test_exact_em_finds_the_exact_maximum(case):
     model, series, best, top = case
     start = {"q": np.exp(best[2])}  # held, as EM is slow in it; z0 and b leave from 0

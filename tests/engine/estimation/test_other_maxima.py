@@ -31,6 +31,7 @@ def test_the_maximum_with_the_rates_in_each_others_place_is_told(fit):
     assert "the same by the moment filter" in said or "lower by" in said or "higher by" in said
 
 
+@pytest.mark.long
 def test_a_run_that_went_on_says_the_same(measured, fit):
     part = engine.rbps_em(absorption(), measured, seed=1, callback=lambda it: it.k == 3)
     again = engine.rbps_em(absorption(), measured, seed=1, resume=part)

@@ -151,6 +151,7 @@ def test_states_that_enter_noise_alone_are_known(nonlinear):
     assert type(likelihood) is LikelihoodStep
 
 
+@pytest.mark.long
 def test_slopes_are_those_of_the_exact_likelihood():
     series, model = record(4), with_mixture(decay(False))
     theta = model.theta({"gain": 2.1, "rate": 0.13, "r": 0.1, "outlier_share": 0.1})

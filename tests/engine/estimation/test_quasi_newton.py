@@ -140,6 +140,7 @@ def test_the_exact_smoother_reaches_the_maximum_of_the_exact_likelihood(start):
     assert fast.theta[0] == pytest.approx(slow.theta[0], rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("warm_start", [True, False])
 def test_particles_reach_it_too(warm_start):
     """Within a third of a standard error in both parameters of the noise, and in a."""

@@ -45,6 +45,7 @@ def record() -> engine.Series:
     return engine.simulate(capacitor(dict.fromkeys(UNITS, 1.0)), None, 300, rng, u=u, dt=0.5).series
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exact", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_standard_errors_do_not_depend_on_units(record, exact):
     usual = dict.fromkeys(UNITS, 1.0)
@@ -93,6 +94,7 @@ def level_by_deviations(default: float, na: int = 0) -> engine.MixedModel:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("far", [pytest.param(1e4, marks=pytest.mark.slow), 1e6])
 def test_errors_of_deviations_far_below_their_defaults_are_as_of_others(far: float) -> None:
     rng = np.random.default_rng(0)

@@ -56,6 +56,7 @@ def measured():
     return engine.simulate(trend(), TRUTH, 300, np.random.default_rng(4)).series
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [{"n_iterations": 2}, {"n_iterations": 45, "method": "em"}])
 def test_a_run_that_was_left_does_not_say_that_the_data_ask_for_no_noise(measured, options):
     found = engine.rts_em(trend(), measured.part(0, 60), {**START, "q": 1e-9, "s": 1e-9}, **options)
@@ -72,6 +73,7 @@ def height(theta, series):
     return LikelihoodStep(trend(), [series]).of(trend().theta(dict(theta.asdict())))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "little",
     [

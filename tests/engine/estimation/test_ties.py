@@ -91,6 +91,7 @@ def best():
 CALM = {"replicates": 2, "seed": 1, **FEW}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [{"exact": True}, FEW, CALM])
 def test_factors_of_a_product_have_no_errors_of_their_own(options, best):
     found = engine.standard_errors(PRODUCT, best.theta, SERIES, **options)
@@ -119,6 +120,7 @@ def test_likelihood_ratio_intervals_are_refused(best):
         engine.likelihood_intervals(PRODUCT, best.theta, SERIES, exact=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [pytest.param("em", marks=pytest.mark.slow), "quasi-newton"])
 def test_estimations_say_so(method):
     few = {"method": method, "n_iterations": 3}
@@ -155,6 +157,7 @@ NEAR = first_order(
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("apart", "correlation"),
     [
@@ -217,6 +220,7 @@ def test_a_series_without_input_determines_no_gain():
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exact", [True, False])
 def test_where_no_free_parameter_is_determined_none_has_an_error(exact):
     """Complete data hold much of a state that no reading shows, these hold nothing."""
@@ -252,6 +256,7 @@ def test_a_parameter_that_is_weakly_known_is_tied_as_well():
     assert tied(directions).tolist() == [True, True, True]
 
 
+@pytest.mark.long
 def test_errors_that_rest_on_a_bound_say_so():
     """b1 ended at its bound, and b2 had an error of its own, as if the bound were known to be right."""
     start = {**PRODUCT.theta().asdict(), "b1": 5.0, "b2": 0.08}
@@ -262,6 +267,7 @@ def test_errors_that_rest_on_a_bound_say_so():
     assert "together" not in str(alone)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unit", [1.0, 1e6])
 def test_a_parameter_that_the_record_hardly_tells_is_said_to_be(unit):
     """A second input that hardly moves: any gain within its bounds does, in any unit of it."""

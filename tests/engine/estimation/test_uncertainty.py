@@ -73,6 +73,7 @@ def test_an_interval_ends_at_the_bounds():
     assert np.isinf(replace(errors, tied=("q",)).interval()[0]).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("by", [{"exact": True}, SMALL])
 @pytest.mark.parametrize("q", [1e-9, 1e-4, 0.1])
 def test_a_variance_next_to_its_bound_leaves_the_errors_of_others_alone(q, by):
@@ -94,6 +95,7 @@ def test_a_variance_next_to_its_bound_leaves_the_errors_of_others_alone(q, by):
     np.testing.assert_allclose(near.values[[1, 2, 3]], exact.values[[1, 2, 3]], rtol=rtol)
 
 
+@pytest.mark.long
 def test_a_variance_that_is_small_for_good_keeps_its_error():
     """Of the Nile without its step q has a maximum, a tenth of r."""
     model = engine.get_model("local-level")
@@ -152,6 +154,7 @@ def test_the_error_of_the_score_is_its_spread_over_seeds(many):
     assert 0.5 < spread / stated < 1.7
 
 
+@pytest.mark.long
 def test_the_error_of_standard_errors_is_their_spread_over_seeds(many):
     """As above; the jackknife's own noise comes on top."""
     spread = np.std(np.log([one.values[0] for one in many]), ddof=1)
@@ -259,6 +262,7 @@ def ridge():
     return model, series, at, np.asarray(at) * np.sqrt(np.diag(inverse))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [{"exact": True}, {}, {"replicates": 2}])
 def test_on_a_curved_ridge_the_errors_are_those_at_the_maximum(options, ridge):
     """Half an error along a straight line leaves the ridge, and sees twice the information."""
@@ -282,6 +286,7 @@ def test_along_a_curved_ridge_intervals_end_where_the_profile_has_fallen(ridge):
             assert top - held.log_likelihood == pytest.approx(1.92, abs=0.05)
 
 
+@pytest.mark.long
 def test_ends_to_which_there_is_no_way_are_not_found(monkeypatch, best):
     """And not the parameter's bound, which would say that the likelihood does not fall."""
     sd = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
@@ -343,6 +348,7 @@ def test_the_error_of_the_score_is_that_of_a_mean(R, best):
     assert found.decrement == pytest.approx(each.mean() ** 2 * found.covariance[0, 0])
 
 
+@pytest.mark.long
 def test_settled_is_within_half_a_standard_error(top):
     """And the limit grows with the noise of the score: 0.25 + t^2 times its variance in those errors."""
     variance = np.array([[4.0]])
@@ -398,6 +404,7 @@ def test_at_the_maximum_nothing_is_said(many, best):
     assert exact.decrement < 2e-3  # quasi_ml stops when 1e-3 nats are left, of which this is twice
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exact", [True, False])
 @pytest.mark.parametrize("shift", [-3.0, 3.0])
 def test_away_from_the_maximum_the_distance_is_told(exact, shift, top):
@@ -456,6 +463,7 @@ def test_how_strongly_a_bound_must_be_left(x, sign):
     assert observed._drawn_at_bounds(score, np.full((4, 1), 9.0), np.array([100.0])) == ([], [])
 
 
+@pytest.mark.long
 def test_errors_beside_a_variance_that_its_bound_keeps_too_small_say_so():
     model = engine.get_model("local-level")
     series = engine.simulate(model, None, 200, np.random.default_rng(0)).series
@@ -475,6 +483,7 @@ def test_errors_beside_a_variance_that_its_bound_keeps_too_small_say_so():
     assert "beyond the bound" not in free.warning
 
 
+@pytest.mark.long
 def test_intervals_about_another_maximum_say_so(top):
     sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
     with pytest.warns(NotSettledWarning, match="The likelihood is highest at theta"):

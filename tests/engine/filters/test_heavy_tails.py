@@ -126,6 +126,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_likelihood_agrees_with_numerical_integration(case: str) -> None:
     model, extra, step, measurement = CASES[case]
@@ -198,6 +199,7 @@ def spoilt() -> tuple[engine.Simulation, engine.Series, np.ndarray]:
     return clean, engine.Series(y), rows
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("extend", [with_student_t, with_mixture])
 def test_default_filter_survives_outliers(
     extend: Callable[[engine.MixedModel], engine.MixedModel],
@@ -277,6 +279,7 @@ def test_what_cannot_be_is_named() -> None:
         with_student_t(with_student_t(MIXED), "dynamics")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("extend", [engine.with_mixture, engine.with_student_t])
 @pytest.mark.parametrize(
     "effects",

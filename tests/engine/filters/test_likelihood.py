@@ -19,6 +19,7 @@ def wide(step):
     return a, log_q - 0.5 * step.model.na * np.log(2.0 * np.pi)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("proposal", "resampling", "threshold"),
     [

@@ -60,6 +60,7 @@ def stepwise(y, seen, moved, m, P, na):
     return [np.array(x) for x in zip(*found, strict=True)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("na", [0, 1, 2])
 @pytest.mark.parametrize("rows", [1, "K", "KS"])
 @pytest.mark.parametrize(("times", "own_slopes"), [(False, False), (True, False), (True, True)])

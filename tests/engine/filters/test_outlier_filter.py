@@ -80,6 +80,7 @@ def test_missing_values_are_passed_over():
     np.testing.assert_allclose(terms[100:140], 0.0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share_of_noise", [0.5, 1e-4])
 def test_outliers_gain_what_they_do_with_noise_of_the_right_size(share_of_noise):
     """They make the noise seem large, or that of the process where the sensor's is next to nothing."""
@@ -109,6 +110,7 @@ def test_outliers_gain_what_they_do_with_noise_of_the_right_size(share_of_noise)
     assert 2.0 * (at_own - fit.log_likelihood) == pytest.approx(gain, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_size_gain_and_errors_are_those_of_the_exact_mixture(seed):
     """Of a model without process noise, whose likelihood with outliers is a sum: nothing is left undone."""

@@ -99,6 +99,7 @@ def test_joint_start_that_depends_on_a() -> None:
     np.testing.assert_allclose(start.log_density(x[:5]), want, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_ps_em_approaches_exact_em(series: engine.Series) -> None:
     """One EM step from the same theta is the exact one within the Monte Carlo error."""
     exact = engine.rts_em(LINEAR, series, {"theta": 0.3}, n_iterations=1, method="em")

@@ -25,6 +25,7 @@ def test_the_order_keeps_neighbours_and_does_not_ask_for_units(n):
         assert length(x[order]) < 0.2 * length(x)
 
 
+@pytest.mark.long
 def test_coordinates_without_spread_are_left_out():
     x = np.random.default_rng(0).normal(size=(50, 3))
     x[:, [0, 2]] = [1e9 / 3.0, 0.0]

@@ -86,6 +86,7 @@ def assert_same(taped, called):
     np.testing.assert_allclose(taped.S, called.S, rtol=1e-7, atol=1e-9 * np.nanmax(called.S))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "every"),
     [

@@ -182,6 +182,7 @@ def test_adoption_needs_evidence_and_no_loss(p_gain, log_density, outputs, decis
     assert in_short(gain).startswith("Adopted" if gain.adopt else "NOT adopted")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("p_gain", "said"),
     [
@@ -413,6 +414,7 @@ def test_figures_are_drawn(found, tmp_path):
         assert (tmp_path / f"{name}.png").stat().st_size > 3000
 
 
+@pytest.mark.long
 def test_nothing_is_said_plainly():
     series = simulate(LINEAR, None, 300, np.random.default_rng(8)).series
     clean = diagnose(LINEAR, series, effects=["bias", "force", "cubic"], seed=1)
@@ -426,6 +428,7 @@ def test_nothing_is_said_plainly():
     assert set(clean.figures()) >= {"wrong", "where", "residuals", "candidates"}
 
 
+@pytest.mark.long
 def test_step_of_the_nile_is_named_on_the_page(nile_diagnosis):
     found = nile_diagnosis
     page = str(found)

@@ -31,6 +31,7 @@ def found(series):
     return engine.rts_em(LINEAR, series, n_iterations=20)
 
 
+@pytest.mark.long
 def test_the_document_of_an_estimate(series, found):
     errors = engine.standard_errors(LINEAR, found.theta, series, exact=True)
     document = json.loads(
@@ -143,6 +144,7 @@ def test_seven_digits_are_kept():
     assert np.isinf(out[4])
 
 
+@pytest.mark.long
 def test_intervals_by_the_likelihood_ratio_replace_symmetric_ones(series, found):
     errors = engine.standard_errors(LINEAR, found.theta, series, exact=True)
     intervals = engine.likelihood_intervals(LINEAR, found.theta, series, errors=errors, exact=True)

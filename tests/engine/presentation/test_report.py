@@ -91,6 +91,7 @@ def estimate():
 # ---- whole reports ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_diagnosis_in_one_file(diagnosis, tmp_path):
     file = write_report(diagnosis, tmp_path / "out.html", {"data": "nile.csv"})
     page = check_alone(file.read_text("utf-8"))
@@ -240,6 +241,7 @@ def test_how_files_were_read_is_in_the_report_of_a_diagnosis(diagnosis):
     assert diagnosis["notes"] == before
 
 
+@pytest.mark.long
 def test_names_are_escaped(diagnosis):
     names = {"outputs": {EVIL: EVIL}, "linear": {f"{EVIL} of a state": "<b>"}, "reference": {}}
     evil = replace(LEVEL, description=EVIL, **names)

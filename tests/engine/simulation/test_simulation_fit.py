@@ -263,6 +263,7 @@ def test_noise_has_no_influence_on_a_run_without_noise():
         np.testing.assert_array_equal(run, runs[0])
 
 
+@pytest.mark.long
 def test_runs_at_once_and_loops_over_time_give_the_same_fit(monkeypatch):
     series = [tanks(1).series, tanks(2, 350).series.masked(np.arange(50, 90)), tanks(3, 40).series]
     fit = fit_simulation(TANKS, series, n_starts=2)
@@ -303,6 +304,7 @@ def test_cascaded_tanks(measured_data):
     assert run.rmse_from(50) == pytest.approx(0.686, abs=0.01)
 
 
+@pytest.mark.long
 def test_emps_thinned(measured_data):
     """Drive data thinned to 20 ms: the data authors give M 95.1, Fv 203.5, Fc 20.4, offset -3.16."""
     folder = measured_data("emps")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from engine import (
     condition_on_trajectories,
@@ -31,6 +32,7 @@ def test_means_agree_with_rts():
     assert np.sqrt(np.mean((s.mean() - exact.x) ** 2)) < 0.08
 
 
+@pytest.mark.long
 def test_the_lasting_bias_of_algorithm_3_and_none_of_the_exact_moments(capsys):
     """Eq. (34): Cov(z_t, a_{t+1}) does not tend to the exact value, whatever M; the cure does.
 
@@ -59,6 +61,7 @@ def test_the_lasting_bias_of_algorithm_3_and_none_of_the_exact_moments(capsys):
         assert abs(right - exact) < 0.001
 
 
+@pytest.mark.long
 def test_the_bias_of_the_lag_one_covariance_with_strong_coupling():
     """Theta = 1: Cov(z_t, z_{t+1}) of Algorithm 3 stays some per cent low; the exact one does not."""
     model = get_model("linear-2")

@@ -107,6 +107,7 @@ def moments(s: engine.Smoothed) -> dict[str, Any]:
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sampler", ["full", "mcmc", "rejection"])
 def test_exact_moments_on_a_nonlinear_model(sampler: str) -> None:
     y = np.array([0.6, 1.4, 0.2])
@@ -151,6 +152,7 @@ HURTING = engine.MixedModel(
 )
 
 
+@pytest.mark.long
 def test_a_model_built_to_hurt(capsys: pytest.CaptureFixture[str]) -> None:
     """Strong A_a, small Q_az: Algorithm 3 is far off whatever M; the exact moments are not."""
     model = HURTING

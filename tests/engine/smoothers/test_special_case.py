@@ -48,6 +48,7 @@ def decoupled(per_particle: bool) -> engine.MixedModel:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("per_particle", [False, True])
 def test_same_random_numbers_give_the_same_numbers(per_particle: bool, joint: bool) -> None:

@@ -87,6 +87,7 @@ def evaluated(model, u, thetas, rows):
     return whole, steps
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
 @pytest.mark.parametrize("force", FORCES)
 def test_every_row_is_what_it_is_alone(force, unit):

@@ -167,6 +167,7 @@ def test_units_of_states_and_time_say_the_same(unit, second):
     assert scaled.log_likelihood + shift == pytest.approx(plain.log_likelihood, abs=1e-3)
 
 
+@pytest.mark.long
 def test_em_estimates_what_another_program_simulated():
     dt, T = 0.05, 200
     u = torque(T)
@@ -177,6 +178,7 @@ def test_em_estimates_what_another_program_simulated():
     assert found.theta["w2"] == pytest.approx(W2, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_diagnosis_may_make_more_steps_a_sample():
     u = torque(100)
     y = engine.simulate(pendulum(), None, 100, np.random.default_rng(2), u=u, dt=0.1).y

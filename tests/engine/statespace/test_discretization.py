@@ -110,6 +110,7 @@ def systems(draw, stiffness):
     return F, rng.uniform(-1.0, 1.0, (n, 2)), root @ root.T, dt, D
 
 
+@pytest.mark.long
 @given(systems([1e-9, 1e-4, 0.03, 0.2, 0.5]))
 @settings(max_examples=120, deadline=None)
 def test_every_entry_to_rounding_in_any_units(system):
@@ -145,6 +146,7 @@ def test_a_chain_in_odd_units_is_not_stiff():
     np.testing.assert_allclose(Q, right * np.outer([nano, 1.0], [nano, 1.0]), rtol=1e-14)
 
 
+@pytest.mark.long
 def test_many_systems_of_which_some_are_stiff():
     """Side by side as alone: one that is halved leaves the others as they are."""
     rng = np.random.default_rng(0)
@@ -157,6 +159,7 @@ def test_many_systems_of_which_some_are_stiff():
             np.testing.assert_allclose(one[k], other, rtol=1e-13, atol=1e-13 * np.abs(other).max())
 
 
+@pytest.mark.long
 def test_several_systems_and_steps_at_once():
     F = np.array([[[0.0, 1.0], [0.0, -k]] for k in (0.1, 1.0, 10.0)])
     dt, Qc = np.array([0.1, 0.2, 0.3]), np.diag([0.0, 1.0])

@@ -76,6 +76,7 @@ def test_the_room_without_noise_is_the_matrix_exponential():
         np.testing.assert_allclose(drawn.x[k + 1], x, rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXACT)
 def test_the_user_s_model_predicts_the_plant_s_steps_and_their_scatter(name):
     system = SYSTEMS[name]
@@ -315,6 +316,7 @@ def short(monkeypatch):
     return cells.Cell("spring", cells.CLEAN, "ordinary")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "effects", [pytest.param(None, marks=pytest.mark.slow, id="all"), ["cubic", "bias", "step"]]
 )

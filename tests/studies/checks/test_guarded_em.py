@@ -98,6 +98,7 @@ def test_without_a_check_the_draws_are_those_of_the_general_method():
     assert agrees([p[0][2] for p in compiled], [g[2] for g in general])
 
 
+@pytest.mark.long
 def test_a_measurement_that_all_particles_contradict_is_as_if_missing():
     series, rng = data(20, 6), np.random.default_rng(7)
     wild, missing = np.array(series.y), np.array(series.y)

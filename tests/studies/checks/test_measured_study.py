@@ -30,6 +30,7 @@ def test_the_season_returns_after_twelve_months():
     assert [float(models.season(t, theta)) for t in (0.0, 1.0, 11.0, 12.0, 13.0)] == [0, 1, 2, 0, 1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", records.RECORDS)
 def test_every_record_is_read_and_its_model_runs_on_it(name):
     record = records.RECORDS[name]
@@ -220,6 +221,7 @@ def test_states_of_a_nonlinear_model_come_from_particles():
     assert np.sqrt(np.mean((x[:, 1] - made.series.y[:, 0]) ** 2)) < 0.1  # V: the level is measured
 
 
+@pytest.mark.long
 def test_without_pysindy_no_row_is_made(monkeypatch):
     _replace_nile(monkeypatch, _swings(-1.0, 100))
     monkeypatch.setitem(sys.modules, "pysindy", None)

@@ -34,6 +34,7 @@ def record() -> Base:
 BASE = record()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in PUTS if not PUTS[name].scatter])
 def test_an_effect_is_as_strong_as_wanted(name: str) -> None:
     put = PUTS[name]
@@ -103,6 +104,7 @@ def test_play_is_as_wide_as_said() -> None:
     assert np.abs(y - series.y[100:, 0]).max() <= 0.5 * width + 1e-12
 
 
+@pytest.mark.long
 def test_scores_count_words_for_the_truth_as_right() -> None:
     row: Row = {
         "verdict": "set",

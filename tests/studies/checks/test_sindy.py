@@ -87,6 +87,7 @@ def test_the_series_are_those_of_the_blind_benchmark():
         assert cells[one.run % len(cells)] == one.cell
 
 
+@pytest.mark.long
 def test_one_series_for_development(monkeypatch):
     pytest.importorskip("pysindy", reason=NOT_PYSINDY)
     monkeypatch.setattr(sindy, "WAYS", sparse.WAYS[:1])

@@ -31,6 +31,7 @@ def _record(model, theta, rows=T):
     return engine.simulate(model, told, rows, np.random.default_rng(0), u=u, dt=0.1).series
 
 
+@pytest.mark.long
 def test_a_run_that_is_not_found_from_nothing_is_found_beside_another():
     """The loop over time is for what no guess reaches; the run is the same."""
     theta = HIDDEN.theta(STRONG)

@@ -59,6 +59,7 @@ def _missing(unit, zero, strength):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("unit", "zero"), [(1.0, 0.0), (1e-6, 3e5)])
 def test_a_force_without_a_name_is_found_with_its_curve_in_any_unit(unit, zero):
     found = _missing(unit, zero, 1.0)
@@ -134,6 +135,7 @@ def test_a_signal_that_stands_still_has_no_curve():
     assert len(knots_of(np.full(3, np.nan))) == 1
 
 
+@pytest.mark.long
 def test_the_curve_is_on_the_page_in_the_document_and_in_the_report(tmp_path):
     plain = engine.diagnose(LEVEL, clear_flows(), effects=["step"])
     missing = _missing(1.0, 0.0, 1.0)

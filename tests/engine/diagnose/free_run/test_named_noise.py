@@ -43,6 +43,7 @@ def smoothed(seed):
     return engine.Series(y, t=t, y_names=("volts",))
 
 
+@pytest.mark.long
 def test_it_is_left_open(monkeypatch):
     asked = []
 

@@ -61,6 +61,7 @@ def test_three_questions_share_the_error():
     assert 3.0 * LEAST <= 0.01  # the level where the likelihood has an answer can be reached
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("times", "small"), [(1.0, False), (5.0, True)])
 def test_how_near_free_runs_can_be_bent_is_asked_by_refits(clean, times, small):
     """Noise that is five times too large is refuted by refits of what it makes, and by no projection."""

@@ -57,6 +57,7 @@ def slow(**theta):
     return record(SERVO, {**QUIET, "offset": -8.0} | theta, 3.0 * drive())
 
 
+@pytest.mark.long
 def test_a_slow_plant_is_looked_at_on_fewer_samples_of_all_of_the_record():
     series = slow()
     (few,) = fewer_samples(SERVO, QUIET, [series], MOST_ROWS)
