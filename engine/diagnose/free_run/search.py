@@ -9,7 +9,7 @@ other words, and one name stands for them; others are a set.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -229,6 +229,8 @@ def _judged(
     for i, fit in enumerate(found):
         progress(STAGE, 0.8 + 0.2 * i / len(found))
         try:
+            # fits without a fold go on from there, and one that was left on its way would be judged by them
+            fit = finished(fit)
             rows.append((fit, losses(fit, folds)))
         except CANNOT:
             continue
@@ -270,7 +272,7 @@ def survivors(
     left = [c for c in left if c.fit.n_parameters <= fewest]
     left.sort(key=lambda c: (c not in close, -c.fit.n_parameters))
     groups: list[list[Candidate]] = []
-    for candidate in filter(_determined, map(_to_its_end, left)):
+    for candidate in left:
         for group in groups:
             if alike(candidate.fit, group[0].fit):
                 group.append(candidate)
@@ -284,7 +286,11 @@ def survivors(
 
 
 def _determined(candidate: Candidate) -> bool:
-    """Whether the sizes of all that it adds are away from zero; else it stands in for something else."""
+    """Whether the sizes of all that it adds are away from zero; else it stands in for something else.
+
+    So does what has a parameter of its own that the run does not show: a dead zone wider than the record is the
+    straight line within it.
+    """
     fit = candidate.fit
     names = fit.problem.names(fit.problem.active)
     known = fit.problem.uncertainty(fit.e, fit.J)
@@ -292,7 +298,8 @@ def _determined(candidate: Candidate) -> bool:
     for effect in candidate.added:
         if effect.one_sided or effect.family == "parameter":  # a start value is no zero
             continue
-        if effect.size.name not in names:
+        own = {p.name for p in effect.parameters} - {effect.spread}
+        if not own & set(fit.free) <= set(names):
             return False
         k = names.index(effect.size.name)
         if known.tied[k] or not abs(fit.p[k]) >= LEAST_ERRORS * errors[k]:
@@ -304,11 +311,6 @@ def _within(share: float, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those whose error on rows left out is at most that much larger than the least."""
     most = (1.0 + share) * min(c.held_out for c in candidates)
     return [c for c in candidates if c.held_out <= most]
-
-
-def _to_its_end(candidate: Candidate) -> Candidate:
-    """One that survives, its fit no longer where it was left: fits without a fold have gone on from there."""
-    return replace(candidate, fit=finished(candidate.fit))
 
 
 def _of_the_model(candidate: Candidate) -> bool:

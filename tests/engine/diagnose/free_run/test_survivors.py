@@ -6,7 +6,7 @@ import pytest
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.search import Candidate, survivors
-from engine.diagnose.free_run_fits.fitted import Pick, with_effects
+from engine.diagnose.free_run_fits.fitted import Pick, fit_runs, with_effects
 from engine.diagnose.free_run_fits.folds import folds_of, losses
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 
@@ -35,3 +35,20 @@ def test_an_effect_whose_size_may_as_well_be_zero_does_not_survive(fit):
     assert abs(beside.p[k]) < 2.0 * np.sqrt(beside.covariance[k, k])
     nothing = Candidate(beside, beside.effects, own - 3.0, 1e-6, 0.5)
     assert survivors(own, [nothing], setting) == ()
+
+
+def test_a_dead_zone_that_the_record_does_not_leave_does_not_survive(fit):
+    """Within its width it is a straight line, here the damping that the model has too little of."""
+    series = fit.records[0]
+    weak = MODEL.theta({"zeta": 0.01})
+    base = fit_runs(MODEL, [series], weak, ("omega", "gain"), np.zeros((1, 2)))
+    setting = setting_for(MODEL, series, np.asarray(weak))
+    own = losses(base, folds_of(base.records))
+    effect = make_effect("deadzone:velocity", setting)
+    size, width = effect.parameters[0].name, effect.parameters[1]
+    found = with_effects(base, [Pick(effect, -0.1, (width.bounds[1],))])
+    names = found.problem.names(found.problem.active)
+    assert size in names
+    assert width.name not in names
+    wide = Candidate(found, (effect,), own - 3.0, 1e-6, 0.5)
+    assert survivors(own, [wide], setting) == ()
