@@ -144,6 +144,11 @@ CASES = {
     ),
     "ramp": ("speed", {"ramp_speed": 0.05}),
     "harmonic": ("speed", {"harmonic_speed": 0.4, "harmonic_speed_frequency": 0.83}),
+    "input-gain-step": (
+        "force",
+        {"input_gain_step_force": -0.5, "input_gain_step_force_time": 22.0},
+    ),
+    "gain-step": ("reading", {"gain_step_reading": 0.5, "gain_step_reading_time": 22.0}),
     "parameter-step": (
         "damping",
         {"parameter_step_damping": 1.0, "parameter_step_damping_time": 16.0},

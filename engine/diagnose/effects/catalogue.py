@@ -17,6 +17,7 @@ from engine.diagnose.effects.delays import KINDS as LATE
 from engine.diagnose.effects.dynamic import KINDS as MEMORY
 from engine.diagnose.effects.effect import Effect, worded_for
 from engine.diagnose.effects.first_state import KINDS as FIRST_STATE
+from engine.diagnose.effects.gain_steps import KINDS as GAIN_STEPS
 from engine.diagnose.effects.held import KINDS as HELD
 from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
 from engine.diagnose.effects.input_friction import KINDS as INPUT_FRICTION
@@ -56,6 +57,7 @@ SHIPPED: tuple[Kind, ...] = (
     *INPUT_FRICTION,
     *PATHS,
     *TIME,
+    *GAIN_STEPS,
     *TIME_STEP,
     *FIRST_STATE,
     *HELD,

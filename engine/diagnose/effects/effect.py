@@ -340,22 +340,22 @@ def change_step(model: MixedModel, split: Split, change: Callable[..., Any]) -> 
 
 
 def change_inputs(
-    model: MixedModel, name: str, change: Callable[[Any, Sequence[Any]], Any]
+    model: MixedModel, name: str, change: Callable[[Any, Sequence[Any], Any], Any]
 ) -> MixedModel:
-    """The model driven by change(u, own parameters) instead of the input ``name``."""
+    """The model driven by change(u, own parameters, t) instead of the input ``name``."""
     split = Split(model)
     index = list(model.inputs).index(name)
 
-    def changed(u: Any, own: Sequence[Any]) -> Any:
-        return with_input(u, index, change(u[index], own))
+    def changed(u: Any, own: Sequence[Any], t: Any) -> Any:
+        return with_input(u, index, change(u[index], own, t))
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
-        return model.transition(a, changed(u, own), t, dt, own_base)
+        return model.transition(a, changed(u, own, t), t, dt, own_base)
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
-        return model.observation(a, changed(u, own), t, own_base)
+        return model.observation(a, changed(u, own, t), t, own_base)
 
     return on_base(model, split, dynamics=dynamics, measurement=measurement)
 

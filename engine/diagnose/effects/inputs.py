@@ -34,7 +34,7 @@ def _input_offset(setting: Setting, channel: str, name: str) -> Effect:
         f"offset of the input {channel}",
         f"{channel} -> {channel} + {name}",
         (Parameter(name, 0.0, setting.unit(channel), description="input offset"),),
-        lambda model: change_inputs(model, channel, lambda u, own: u + own[0]),
+        lambda model: change_inputs(model, channel, lambda u, own, t: u + own[0]),
         look_alikes={"force": "stays the same whatever the input is multiplied by"},
         traits=Traits(plainness=3),
     )
@@ -53,7 +53,7 @@ def _input_gain(setting: Setting, channel: str, name: str) -> Effect:
         f"gain error of the input {channel}",
         f"{channel} -> {channel} + {name} * {origin.text(channel)}",
         extend=lambda model: change_inputs(
-            model, channel, lambda u, own: u + own[0] * (u - origin.of(own))
+            model, channel, lambda u, own, t: u + own[0] * (u - origin.of(own))
         ),
         look_alikes={
             "gain": "acts on the reading, not on what drives the system",
@@ -68,7 +68,7 @@ def _input_dead_zone(setting: Setting, channel: str, name: str) -> Effect:
     origin = Origin(setting, name, channel)
     bounds = setting.limits(0.0, WIDEST * setting.distance(channel, 0.7), 0.0)
 
-    def change(u: Any, own: Sequence[Any]) -> Any:
+    def change(u: Any, own: Sequence[Any], t: Any) -> Any:
         zero = origin.of(own)
         return zero + np.sign(u - zero) * np.maximum(np.abs(u - zero) - own[0], 0.0)
 
@@ -97,7 +97,7 @@ def _input_saturation(setting: Setting, channel: str, name: str) -> Effect:
         f"saturation of the input {channel}",
         f"{channel} -> {channel} - {name} * {clip.text(channel)}",
         extend=lambda model: change_inputs(
-            model, channel, lambda u, own: u - own[0] * clip.excess(u, own)
+            model, channel, lambda u, own, t: u - own[0] * clip.excess(u, own)
         ),
         look_alikes={"saturation": "depends on the state, not on the input"},
         one_sided=True,

@@ -148,6 +148,14 @@ def _drift(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
+def magnified(h: Array, C: Array, row: int, gain: Any, zero: Any) -> tuple[Array, Array]:
+    """h (M, ny) and C with an output 1 + gain times as far from its zero, the gain a number or (M,)."""
+    h, C = h.copy(), per_point(C, len(h), gain)
+    h[:, row] += gain * (h[:, row] - zero)
+    C[..., row, :] *= 1.0 + (np.reshape(gain, (-1, 1)) if np.ndim(gain) else gain)
+    return h, C
+
+
 def _gain(setting: Setting, channel: str, name: str) -> Effect:
     origin = Origin(setting, name, channel)
 
@@ -155,10 +163,7 @@ def _gain(setting: Setting, channel: str, name: str) -> Effect:
         row = list(model.outputs).index(channel)
 
         def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
-            h, C = h.copy(), per_point(C, len(a), own[0])
-            h[:, row] += own[0] * (h[:, row] - origin.of(own))
-            C[..., row, :] *= 1.0 + np.reshape(own[0], (-1, 1)) if np.ndim(own[0]) else 1.0 + own[0]
-            return h, C, R
+            return *magnified(h, C, row, own[0], origin.of(own)), R
 
         return change_output(model, Split(model), change)
 

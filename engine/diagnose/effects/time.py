@@ -51,7 +51,7 @@ def _signal(
         unit = setting.unit(channel) if at_output else setting.rate(channel)
         unit = product(unit, (setting.time_unit, -power)) if power else unit
         further = shape(name, setting)
-        counted = setting.counted if power else _lasting(further)
+        counted = setting.counted if power else lasting(further)
 
         def extend(model: MixedModel) -> MixedModel:
             add = add_to_output if at_output else add_to_state
@@ -85,20 +85,20 @@ def _when(name: str, setting: Setting) -> list[Parameter]:
     return [setting.time(f"{name}_time", 0.5 * (first + last), within, "when")]
 
 
-def _from_when(name: str, setting: Setting) -> list[Parameter]:
+def from_when(name: str, setting: Setting) -> list[Parameter]:
     """When it comes; of records that times tell apart, whether it stays in those after its own."""
     what = "1 where it stays in later records, 0 where it ends with its own"
     stays = Parameter(f"{name}_stays", 1.0, "1", (0.0, 1.0), what)
     return [*_when(name, setting), *([stays] if setting.later else [])]
 
 
-def _lasting(further: Sequence[Parameter]) -> str:
+def lasting(further: Sequence[Parameter]) -> str:
     """What an equation says of a step that may end with its record."""
     stays = any(p.name.endswith("_stays") for p in further)
     return ", to the end of that record where stays = 0" if stays else ""
 
 
-def _since(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
+def since(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
     """1 from own[0] on: to the end, or where own[1] is 0, to that of the record which own[0] lies in."""
     since = t >= own[0]
     if not later:
@@ -152,7 +152,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
         first, last = setting.span
         parameter = setting.model.parameters[index]
         steps = kind == "parameter-step"
-        further = _from_when(name, setting)
+        further = from_when(name, setting)
         if not steps:
             first, last = setting.run
             length = max(min(setting.length, last - first), setting.dt)
@@ -164,7 +164,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
 
         def course(t: Any, own: Sequence[Any]) -> Any:
             if steps:
-                return own[0] * _since(t, own[1:], setting.later)
+                return own[0] * since(t, own[1:], setting.later)
             return own[0] * ((setting.anew(t) - own[1]) / own[2])
 
         def extend(model: MixedModel) -> MixedModel:
@@ -190,7 +190,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             f"{title} of the parameter {channel}",
             f"{channel} -> {channel} + {name} * "
             + (
-                f"[t >= {name}_time]{_lasting(further)}"
+                f"[t >= {name}_time]{lasting(further)}"
                 if steps
                 else f"(t - {name}_middle) / {name}_per{setting.counted}"
             ),
@@ -245,8 +245,8 @@ KINDS: list[Kind] = [
         "step",
         "step",
         "[t >= time]",
-        _since,
-        _from_when,
+        since,
+        from_when,
         {"ramp": "goes on growing", "pulse": "lasts one sample", "episode": "is over again"},
         held=("stays",),
         traits=Traits(Course.STEP, swallowed=True, plainness=1),

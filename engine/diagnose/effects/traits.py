@@ -28,7 +28,8 @@ class Course(Enum):
 class Traits:
     """Traits of a kind.
 
-    ``course`` over time, if it has one; ``of_parameter``: what runs is a parameter of the model, its channel.
+    ``course`` over time, if it has one; ``of_parameter``: what runs is a parameter of the model, its channel;
+    ``of_gain``: what runs is the gain of an input or an output.
     ``swallowed``: a fitted process noise can hide it from the screen, so that it is refitted all the same.
     ``unnamed``: it stands for whatever has no name. ``outliers``: judged by a filter that knows outliers.
     ``noise_level``: it changes the size of a channel's noise. ``plainness``: of effects that say the same,
@@ -42,6 +43,7 @@ class Traits:
 
     course: Course | None = None
     of_parameter: bool = False
+    of_gain: bool = False
     swallowed: bool = False
     unnamed: bool = False
     outliers: bool = False
@@ -52,6 +54,11 @@ class Traits:
     contains: tuple[str, ...] = ()
     of_record: bool = False
     whole: bool = False
+
+    @property
+    def alters(self) -> bool:
+        """Whether what runs alters how the model answers, and adds nothing of its own."""
+        return self.of_parameter or self.of_gain
 
 
 USUAL = Traits()

@@ -119,9 +119,8 @@ def grid(effect: Effect, series: Series) -> Array:
             wanted = min(wanted, FINER * T, MOST_IRREGULAR)
         return np.asarray(np.linspace(first, last, max(2, int(wanted))))
     first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3
-    most = (
-        GRID if effect.traits.of_parameter or effect.traits.course is not Course.STEP else STEP_GRID
-    )
+    adds = effect.traits.course is Course.STEP and not effect.traits.alters
+    most = STEP_GRID if adds else GRID
     n = max(2, min(most, last - first + 1))
     rows = np.unique(np.linspace(first, max(last, first + 1), n).astype(int))
     return np.unique(t[rows])
@@ -163,13 +162,15 @@ def _gates(
         both = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(series), -1)
         return [(0.0, float(f), origin) for f in points], both, tries
     gate = (t >= points).astype(float)
-    if len(effect.probes[0]) == 1:
-        return [(float(tau),) for tau in points], gate, 1
+    ends = any(p.name.endswith("_stays") for p in effect.parameters)
+    zero = effect.probes[0][1 + ends :]
+    if not ends:
+        return [(float(tau), *zero) for tau in points], gate, 1
     record = np.searchsorted(series.begins, np.arange(len(series)), side="right")
     order = np.argsort(series.t, kind="stable")
     own = record[order[np.searchsorted(series.t[order], points)]]
     places: list[tuple[float, ...]] = [
-        (float(tau), stays) for stays in (1.0, 0.0) for tau in points
+        (float(tau), stays, *zero) for stays in (1.0, 0.0) for tau in points
     ]
     return places, np.hstack([gate, gate * (record[:, None] == own)]), 1
 
@@ -183,6 +184,10 @@ def _driver(
     states = [*model.nonlinear, *model.linear]
     if effect.traits.of_parameter:
         return _sensitivity(model, theta, model.index(effect.channel), series, path)
+    if effect.traits.of_gain:  # as if it had come before the record
+        extended, before = effect.apply(model), [float(series.t.min()), *effect.probes[0][1:]]
+        whole = np.array([*theta, 0.0, *before])
+        return _sensitivity(extended, whole, extended.index(effect.size.name), series, path)
     if effect.channel in model.outputs:
         e[:, list(model.outputs).index(effect.channel)] = 1.0
     elif model.continuous:  # before the step

@@ -87,5 +87,5 @@ def begins_unsearched(
 
 
 def _is_event(effect: Effect) -> bool:
-    """Whether an effect is a step or pulse of a channel, as which one of a parameter shows, too."""
-    return effect.traits.course in EVENTS and not effect.traits.of_parameter
+    """Whether an effect is a step or pulse of a channel, as which one of a parameter or gain shows, too."""
+    return effect.traits.course in EVENTS and not effect.traits.alters
