@@ -268,6 +268,7 @@ def causes_of(found: FreeRunSearch) -> tuple[Cause, ...]:
 def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) -> Cause:
     theta, free = found.after.theta, found.after.free
     error, (amplitude, amplitude_error) = float("nan"), amplitude_of(effect, found.after)
+    instead = _in_its_place(one, effect)
     if effect.size.name in free:
         error = float(found.after.standard_errors[free.index(effect.size.name)])
     return Cause(
@@ -281,8 +282,8 @@ def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) ->
         {p.name: float(theta[p.name]) for p in effect.parameters},
         one.alarm.p_value,
         gain,
-        (effect.name, *_in_its_place(one, effect)),
-        tuple(_look_alikes(one, effect)),
+        (effect.name, *instead),
+        tuple(_look_alikes(one, effect, instead)),
         tuple(name for name in one.chosen.names if name != effect.name) if one.chosen else (),
         units={p.name: p.unit for p in effect.parameters},
         at_floor=one.alarm.at_floor,
@@ -302,20 +303,23 @@ def _in_its_place(one: FreeRound, effect: Effect) -> list[str]:
     return out
 
 
-def _look_alikes(one: FreeRound, effect: Effect) -> list[LookAlike]:
-    """Effects that say the same in other words, and those that were refitted in its place and lost."""
+def _look_alikes(one: FreeRound, effect: Effect, instead: Sequence[str]) -> list[LookAlike]:
+    """Effects that say the same in other words, and those that were refitted in its place and lost.
+
+    What may stand in its place beside others than it was chosen with, ``instead``, is not ruled out.
+    """
     chosen = one.chosen
     if chosen is None:
         return []
     rest, out = set(chosen.names) - {effect.name}, []
     groups = [[c.names for c in group] for group in one.survivors]
     for other in one.candidates:
-        instead = set(other.names) - rest
-        if rest - set(other.names) or len(instead) != 1 or effect.name in instead:
+        apart = set(other.names) - rest
+        if rest - set(other.names) or len(apart) != 1 or effect.name in apart:
             continue
-        name = instead.pop()
+        name = apart.pop()
         same = other.names in groups[0]
-        survives = any(other.names in group for group in groups)
+        survives = name in instead or any(other.names in group for group in groups)
         likeness = float(np.corrcoef(one.fit.e - other.fit.e, one.fit.e - chosen.fit.e)[0, 1])
         said = SAME if same else ""
         out.append(LookAlike(name, abs(likeness), None, not survives, said))

@@ -31,7 +31,16 @@ from tests.studies.foreign.cells import CLEAN, Cell, every_cell
 from tests.studies.foreign.drawing import series_of
 from tests.studies.foreign.sizes import fit_base, size_of, without
 
-TIMED = ("step", "parameter-step", "parameter-drift", "harmonic", "pulse", "episode")
+TIMED = (
+    "step",
+    "parameter-step",
+    "parameter-drift",
+    "input-gain-step",
+    "gain-step",
+    "harmonic",
+    "pulse",
+    "episode",
+)
 FILE = Path(__file__).with_name("alike.csv")
 NEAREST = Path(__file__).with_name("imitated.csv")
 PILOT = 34_000_000  # first part of the seeds

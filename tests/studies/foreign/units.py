@@ -171,7 +171,16 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "input-coulomb": y,
         "input-drag": y / x**2,
     }
-    plain = ("gain", "input-gain", "lag", "delay", "rectification", "saturation-sensor")
+    plain = (
+        "gain",
+        "gain-step",
+        "input-gain",
+        "input-gain-step",
+        "lag",
+        "delay",
+        "rectification",
+        "saturation-sensor",
+    )
     if kind in plain or kind in (
         "input-saturation",
         "heavy-tails",
