@@ -64,6 +64,7 @@ CASES = {
     "force": ("speed", {"force_speed": 0.6}),
     "quadratic": ("speed", {"quadratic_speed": 0.2}),
     "cubic": ("speed", {"cubic_speed": -0.8}),
+    "product": ("speed*force->speed", {"product_speed_force_speed": -0.5}),
     "drag": ("speed", {"drag_speed": 0.9}),
     "coulomb": ("speed", {"coulomb_speed": 0.4}),
     "stribeck": ("speed", {"stribeck_speed": 1.0, "stribeck_speed_width": 0.3}),

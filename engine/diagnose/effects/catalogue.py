@@ -28,6 +28,7 @@ from engine.diagnose.effects.noise import KINDS as NOISE
 from engine.diagnose.effects.overflow import KINDS as OVERFLOW
 from engine.diagnose.effects.paths import KINDS as PATHS
 from engine.diagnose.effects.play import KINDS as PLAY
+from engine.diagnose.effects.products import KINDS as PRODUCTS
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.slow_input import KINDS as SLOW_INPUT
 from engine.diagnose.effects.slow_sensor import KINDS as SLOW_SENSOR
@@ -41,6 +42,7 @@ from engine.words import meant
 
 SHIPPED: tuple[Kind, ...] = (
     *STATE,
+    *PRODUCTS,
     *OVERFLOW,
     *COGGING,
     *MEMORY,
