@@ -16,7 +16,7 @@ from engine.diagnose.effects.effect import (
     change_inputs,
     on_base,
 )
-from engine.diagnose.effects.kinds import Kind, at_inputs
+from engine.diagnose.effects.kinds import Kind, at_inputs, each_input, each_moved
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import SOME_TIME, WIDEST, Setting
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
@@ -163,21 +163,22 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
 
 
 def _extra_input(setting: Setting, channel: str) -> Effect | None:
-    """``channel->state``: a recorded channel that the model does not use drives a state.
+    """``channel->state``: a recorded channel drives a state where the model does not say so.
 
-    Counted from its median where its zero is not declared: what that moves is a constant force.
+    One that the model does not use is counted from its median where its zero is not declared: what that moves
+    is a constant force.
     """
     source, _, target = channel.partition("->")
     taken = {**setting.states, **setting.model.outputs}
     if target not in setting.states or not source or source in taken:
         return None
     name = setting.identifier("extra_input", source, target)
-    known = setting
+    known, start, used = setting, None, source in each_input(setting)
     if source not in setting.model.inputs:
         known = replace(setting, model=with_inputs(setting.model, [source]))
-    origin = Origin(
-        known, name, source, None if source in known.known_zeros else known.quantile(source, 0.5)
-    )
+    if not (used or source in known.known_zeros):
+        start = known.quantile(source, 0.5)
+    origin = Origin(known, name, source, start)
 
     def extend(model: MixedModel) -> MixedModel:
         if source not in model.inputs:
@@ -189,16 +190,31 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
         "extra-input",
         channel,
         "input",
-        f"the channel {source}, which the model leaves out, drives {target}",
+        f"the input {source} drives {target} beside what the model has of it"
+        if used
+        else f"the channel {source}, which the model leaves out, drives {target}",
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
         extend=extend,
-        look_alikes={"force": "is constant", "latent": "does not follow the channel"},
+        look_alikes={
+            "force": "is constant",
+            "latent": "does not follow the channel",
+            "input-gain": "acts wherever the input does",
+            "path": "follows the input with a lag",
+        },
+        traits=Traits(
+            contains=("input-gain",)
+        ),  # where all that the input does is to drive this state
         **origin.proportional(Parameter(name, 0.0, rate, description="rate per unit")),
     )
 
 
 def _each_extra(setting: Setting) -> list[str]:
-    return [f"{source}->{target}" for source in setting.extra for target in setting.targets]
+    """Channels that the model leaves out to every state, its inputs to those that are no disturbances."""
+    left_out = [f"{source}->{target}" for source in setting.extra for target in setting.targets]
+    used = [
+        f"{source}->{target}" for source in each_input(setting) for target in each_moved(setting)
+    ]
+    return left_out + used
 
 
 KINDS: list[Kind] = [

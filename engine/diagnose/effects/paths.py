@@ -111,7 +111,7 @@ def _path(setting: Setting, channel: str) -> Effect | None:
         f"{'' if at_output else 'dt * '}{name} * {origin.text('l')}",
         extend=lambda model: _with_path(model, setting, source, target, origin),
         look_alikes=alike,
-        traits=Traits(contains=("direct", "input-gain")),
+        traits=Traits(contains=("direct", "extra-input", "input-gain")),
         spread=spread.name,
         **{**members, "held": (before.name, spread.name, *members["held"])},
     )

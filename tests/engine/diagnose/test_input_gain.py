@@ -7,7 +7,8 @@ from tests.engine.reservoir import RESERVOIR, record
 
 CAUGHT = 1.35
 KINDS = [
-    "input-gain", "input-offset", "path", "direct", "gain", "drag", "saturation", "linear", "bias",
+    "input-gain", "extra-input", "input-offset", "path", "direct", "gain", "drag", "saturation", "linear",
+    "bias",
 ]  # fmt: skip
 
 
