@@ -134,7 +134,8 @@ def standard_errors(
     seed : int
         Seed of all random numbers; the same seed gives the same result to the last bit.
     exact : bool
-        Use the Kalman smoother instead of particles (linear Gaussian models).
+        Use the Kalman smoother instead of particles (linear Gaussian models). Without nonlinear states it is
+        used unless ``replicates`` is given: nothing is random there.
 
     Returns
     -------
@@ -151,6 +152,7 @@ def standard_errors(
     theta, free = of_estimate(theta, free)
     theta = model.theta(theta)
     all_series = as_series_list(series, model)
+    exact = exact or (model.na == 0 and replicates is None)  # particles would repeat one another
     every = Score.of(
         model, theta, all_series, model.free_indices(free), n_particles, n_trajectories, exact
     )
