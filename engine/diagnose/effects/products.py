@@ -1,9 +1,9 @@
-"""Products of two signals that push a state: a reaction of two concentrations, a power of volts and amperes."""
+"""Products of two signals that push a state: a reaction of two concentrations, a flow that carries heat."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 from engine.diagnose.effects.effect import Effect, add_to_state
@@ -11,7 +11,7 @@ from engine.diagnose.effects.kinds import Kind
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Traits
 from engine.statespace.model import MixedModel, Parameter
-from engine.units import product
+from engine.units import product as unit_product
 
 TIMES, ONTO = "*", "->"
 
@@ -34,7 +34,7 @@ def _product(setting: Setting, channel: str) -> Effect | None:
 
         return add_to_state(model, target, term, needs)
 
-    both = product(setting.unit(one), setting.unit(other))
+    both = unit_product(setting.unit(one), setting.unit(other))
     text = " * ".join(
         each if zero == 0.0 else f"({each} - {zero:g})"
         for each, zero in zip((one, other), zeros, strict=True)
@@ -57,15 +57,18 @@ def _product(setting: Setting, channel: str) -> Effect | None:
 
 
 def _each_product(setting: Setting) -> Iterator[str]:
-    """Pairs of signals that move, one of which at least moves the target already or is the target."""
+    """Pairs of states that move, or one with an input, of which one moves the target already or is the target.
+
+    Of two inputs by name only: what they do within a sample looks like their product.
+    """
     feeds, moved = setting.feeds
     states, inputs = list(setting.states), list(setting.model.inputs)
     for target in setting.targets:
         row = states.index(target)
         near = {name for i, name in enumerate(states) if feeds[row, i]} | {target}
         near |= {name for i, name in enumerate(inputs) if moved[row, i]}
-        signals = [*setting.moved, *(name for name in inputs if name not in setting.extra)]
-        for one, other in combinations(signals, 2):
+        used = [name for name in inputs if name not in setting.extra]
+        for one, other in (*combinations(setting.moved, 2), *product(setting.moved, used)):
             if {one, other} & near:
                 yield f"{one}{TIMES}{other}{ONTO}{target}"
 

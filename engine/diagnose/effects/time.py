@@ -175,8 +175,11 @@ def _parameter_change(kind: str, title: str) -> Kind:
                 value = np.clip(base[index] + course(t, own), *parameter.bounds)
                 return base._replace(**{channel: value})
 
+            # differential equations have the mean of a drift over the step, which is that of its middle
+            later = 0.5 if model.continuous and not steps else 0.0
+
             def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-                return model.transition(a, u, t, dt, at(t, theta))
+                return model.transition(a, u, t, dt, at(t + later * dt if later else t, theta))
 
             def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
                 return model.observation(a, u, t, at(t, theta))
