@@ -65,7 +65,7 @@ def test_a_reaction_of_two_substances_is_named_with_its_rate():
     # it acts at the beginning of a step, in which the substrate decays by a tenth
     assert cause.size == pytest.approx(-0.05, abs=3.0 * cause.standard_error + 0.003)
     assert cause.standard_error < 0.005
-    assert cause.unit == "L/g/h"
+    assert cause.unit == "L/h/g"
 
 
 def test_products_are_asked_where_one_of_the_two_moves_the_state_already():
