@@ -42,6 +42,7 @@ NOT_WORSE = 0.10  # p-value of being no worse than the best, for all together
 NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
 # of the error on rows left out: less is not worth an extension, nor a further parameter
 WORTH = 0.1
+SHOWN = 1e-6  # of the rms error: a parameter all of whose value moves the whole run by less is not shown
 EARNED = 0.25  # of the same: what a second effect must take beside the first
 
 
@@ -293,13 +294,15 @@ def _determined(candidate: Candidate) -> bool:
     """
     fit = candidate.fit
     names = fit.problem.names(fit.problem.active)
+    moves = np.linalg.norm(fit.J[:, : len(names)], axis=0) * np.abs(fit.p[: len(names)])
+    shown = {name for name, move in zip(names, moves, strict=True) if move > SHOWN * fit.rms}
     known = fit.problem.uncertainty(fit.e, fit.J)
     errors = np.sqrt(np.maximum(np.diag(known.covariance), 0.0))
     for effect in candidate.added:
         if effect.one_sided or effect.family == "parameter":  # a start value is no zero
             continue
         own = {p.name for p in effect.parameters} - {effect.spread}
-        if not own & set(fit.free) <= set(names):
+        if not own & set(fit.free) <= shown:
             return False
         k = names.index(effect.size.name)
         if known.tied[k] or not abs(fit.p[k]) >= LEAST_ERRORS * errors[k]:
