@@ -27,9 +27,14 @@ def check_channels(series: Series, model: BaseModel) -> None:
     """
     for names, own, what in _kinds(series, model):
         if len(names) != len(own):
+            hint = (
+                "; give those that it does not use apart, as extra=, and a diagnosis tests whether they belong in it"
+                if what == "u" and len(names) > len(own)
+                else ""
+            )
             raise SeriesError(
-                f"{what} has {len(names)} channels; model '{model.name}' needs {len(own)}"
-                f" ({', '.join(own) or 'none'})"
+                f"{what} has {len(names)} channels; model '{model.name}' needs "
+                f"{len(own)} ({', '.join(own) or 'none'}){hint}"
             )
         if names == default_names(len(names), what):
             continue

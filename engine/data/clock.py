@@ -125,6 +125,8 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
                 "; if this is the time of day, 1430 for 14:30, write it with its day in one: "
                 "2024-03-01 14:30:00"
             )
+        elif kind == "decreases" and not dated and times[row] <= times[0]:
+            hint = "; if several records stand one below the other, give each by itself"
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:
         _check_step(times, _step_in(dt, unit))

@@ -67,10 +67,12 @@ def read_csv(data: bytes, file: str) -> Table:
         first += 1
         if first >= last:
             raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
-    commented = "" if told or not first else _commented(lines[first - 1], lines[first])
+    lines_above = [line for line in lines[:first] if line.strip()]
+    commented = "" if told or not first else _commented(lines[:first], lines[first])
     if commented:
         first -= 1
         lines[first] = commented
+    _without_comments(lines, first, last)
     delimiter = told[1] if told else _delimiter(lines[first:last])
     if not told and delimiter == "," and _in_blanks(lines[first:last]):
         lines[first:last] = ["\t".join(line.split()) for line in lines[first:last]]
@@ -118,9 +120,9 @@ def read_csv(data: bytes, file: str) -> Table:
         rows = [[_pointed(cell) for cell in row] for row in rows]
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
-    if (
-        delimiter != "," and commented and " ".join(names) == commented
-    ):  # so many words may be any comment
+    farther = commented and lines_above and lines_above[-1].removeprefix("#").strip() != commented
+    if farther or (commented and delimiter != "," and " ".join(names) == commented):
+        # so many words may be any comment
         table.notes.append(f"the columns are named as the comment above them says: {commented}.")
     table.hold = hold[-1] if hold else None
     table.time_unit = time_unit[-1] if time_unit else None
@@ -141,18 +143,35 @@ def _delimiter(lines: Sequence[str]) -> str:
     return best if agreeing(best) else ","
 
 
-def _commented(above: str, first: str) -> str:
-    """The names where a comment above the first row has them, as ``numpy.savetxt`` writes; else empty."""
-    names = above.removeprefix("#").strip()
-    if HOLD.fullmatch(above.strip()) or TIME_UNIT.fullmatch(above.strip()):
-        return ""
-    for parted in (None, *DELIMITERS):
-        row = first.split(parted)
-        if len(row) > 1 and all(is_number(_pointed(cell.strip())) for cell in row):
-            told = names.split(parted)
-            if len(told) == len(row) and _are_names(told):
+def _commented(above: Sequence[str], first: str) -> str:
+    """The names where a comment above the first row has them, as ``numpy.savetxt`` writes; else empty.
+
+    Blanks part names in the last comment only, as in others so many words may be anything.
+    """
+    comments = [line for line in above if line.strip()]
+    for line in reversed(comments):
+        if HOLD.fullmatch(line.strip()) or TIME_UNIT.fullmatch(line.strip()):
+            continue
+        names = line.removeprefix("#").strip()
+        for parted in (None, *DELIMITERS) if line is comments[-1] else DELIMITERS:
+            row, told = first.split(parted), names.split(parted)
+            if len(row) == len(told) > 1 and _are_names(told) and _are_values(row):
                 return names
     return ""
+
+
+def _without_comments(lines: list[str], first: int, last: int) -> None:
+    """Empty the comments right below the line of names ``first``: # lines that are no row of as many cells."""
+    marks = [mark for mark in (None, *DELIMITERS) if _cells(lines[first], mark) > 1]
+    for i in range(first + 1, last if marks else 0):
+        if lines[i].strip() and not lines[i].startswith("#"):
+            return
+        if all(_cells(lines[first], mark) != _cells(lines[i], mark) for mark in marks):
+            lines[i] = ""
+
+
+def _cells(line: str, mark: str | None) -> int:
+    return len(line.split(mark))
 
 
 def _in_blanks(lines: Sequence[str]) -> bool:
@@ -171,6 +190,7 @@ def _in_blanks(lines: Sequence[str]) -> bool:
 def _units_in(row: Sequence[str]) -> list[str]:
     """The units that a second line of the header holds; empty where a cell is anything else."""
     units = [re.sub(r"^[\[(]\s*(.*?)\s*[\])]$", r"\1", cell.strip()) for cell in row]
+    units[0] = units[0].removeprefix("#").strip()  # the line is a comment to other programs
     if not all(unit in ("", "-") or _is_unit(unit) for unit in units):
         return []
     return ["" if unit == "-" else unit for unit in units] if any(map(_is_unit, units)) else []

@@ -743,6 +743,34 @@ def test_names_in_a_comment(tmp_path, ending, delimiter):
     np.testing.assert_array_equal(np.column_stack([series.t, series.u, series.y]), rows)
 
 
+def test_names_in_a_comment_above_dates_and_above_other_comments(tmp_path):
+    """As stations' records have them: names first, then who measured it, then rows that begin with a date."""
+    rows = b"2014-01-01 00:00:00,0.25\n2014-01-01 01:00:00,0.5\n"
+    series = read_series_bytes(b"# time,flow\n" + rows, "a.csv", y=["flow"])
+    assert series.t.tolist() == [0.0, 3600.0]
+    assert series.y[:, 0].tolist() == [0.25, 0.5]
+    far = b"# time,flow\n#\n# by the chair of hydrology\n" + rows
+    (tmp_path / "a.csv").write_bytes(far)
+    with pytest.warns(ReadingWarning, match="named as the comment above them says: time,flow"):
+        again = read_series(tmp_path / "a.csv", y=["flow"])
+    np.testing.assert_array_equal(again.y, series.y)
+
+
+def test_comments_between_the_names_and_the_rows():
+    rows = b"1.1.1979,0.25\n2.1.1979,#N/A\n3.1.1979,0.75\n"
+    for below in (b"#\n# a station at a brook\n#, two, commas\n", b"#,mm/d\n", b"# d,mm/d\n\n"):
+        series = read_series_bytes(b"date,rain\n" + below + rows, "a.csv", y=["rain"])
+        np.testing.assert_array_equal(series.y[:, 0], [0.25, np.nan, 0.75])
+    missing = read_series_bytes(b"y,t\n#N/A,0\n1,1\n", "a.csv")  # a cell, and no comment
+    np.testing.assert_array_equal(missing.y[:, 0], [np.nan, 1])
+    np.testing.assert_array_equal(read_series_bytes(b"y\n#N/A\n1\n", "a.csv").y[:, 0], [np.nan, 1])
+
+
+def test_several_records_in_one_file_are_told():
+    with pytest.raises(SeriesError, match=r"t decreases .*one below the other, give each by itself"):
+        read_series_bytes(b"ID,t,y\n1,0,1\n1,1.5,2\n2,0,1\n2,2,3\n", "a.csv")
+
+
 def test_comments_that_name_no_columns():
     for comment in (b"# hold: foh", b"# three words here and more", b"# 1 2 3", b"# t u u", b"#"):
         with pytest.raises(SeriesError, match="the first line holds numbers"):
