@@ -28,7 +28,7 @@ def check_channels(series: Series, model: BaseModel) -> None:
     for names, own, what in _kinds(series, model):
         if len(names) != len(own):
             hint = (
-                "; give those that it does not use apart, as extra=, and a diagnosis tests whether they belong in it"
+                "; give those that it does not use apart, as extra=, and a diagnosis tests whether they belong"
                 if what == "u" and len(names) > len(own)
                 else ""
             )

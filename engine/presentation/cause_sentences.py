@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from engine.data.series import Series
 from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import (
+    AS_GOOD,
     AS_LIKELY,
     CONTRADICTED,
     LESS_LIKELY,
@@ -175,7 +176,7 @@ def standing(other: LookAlike, equivalent: Sequence[str]) -> str:
         return "the same here"
     if other.difference == CONTRADICTED:
         return "left out"
-    if other.difference.startswith((AS_LIKELY, LESS_LIKELY, WAS_LIKELIER)):
+    if other.difference.startswith((AS_GOOD, AS_LIKELY, LESS_LIKELY, WAS_LIKELIER)):
         return "not ruled out"
     return "not ruled out" if other.gain is None else "behind, its refit left early"
 

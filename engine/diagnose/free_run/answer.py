@@ -17,9 +17,10 @@ from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_rou
 from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.columns import CANNOT
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
+from engine.diagnose.free_run_fits.folds import p_better
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.amplitude import amplitude_of
-from engine.diagnose.search.findings import SAME, Cause, LookAlike, Verdict
+from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY, SAME, Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.fit import fit_simulation
@@ -320,7 +321,11 @@ def _look_alikes(one: FreeRound, effect: Effect, instead: Sequence[str]) -> list
         name = apart.pop()
         same = other.names in groups[0]
         survives = name in instead or any(other.names in group for group in groups)
+        worse = not survives and p_better(chosen.losses, other.losses) <= one.not_worse
         likeness = float(np.corrcoef(one.fit.e - other.fit.e, one.fit.e - chosen.fit.e)[0, 1])
         said = SAME if same else ""
-        out.append(LookAlike(name, abs(likeness), None, not survives, said))
+        if not survives and not worse:  # left for its parameters, or as its own gain is not sure
+            more = other.fit.n_parameters > chosen.fit.n_parameters
+            said = AS_LIKELY if more else AS_GOOD
+        out.append(LookAlike(name, abs(likeness), None, worse, said))
     return out[:SHOWN]

@@ -96,6 +96,11 @@ class FreeRound:
         return self.alarm.p_value <= self.level
 
     @property
+    def not_worse(self) -> float:
+        """The p-value, of being no worse than another, at which one of all these is worse."""
+        return NOT_WORSE / max(len(self.candidates), 1)
+
+    @property
     def chosen(self) -> Candidate | None:
         """The candidate that the search goes on with."""
         return self.survivors[0][0] if self.survivors else None

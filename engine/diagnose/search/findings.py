@@ -10,6 +10,7 @@ from engine.words import probability
 
 # What is said of a look-alike that is not ruled out.
 AS_LIKELY = "is as likely, but with more parameters to choose"
+AS_GOOD = "is no worse on rows left out, as far as these tell"
 SAME = "says the same in other words here"  # of another name for the same thing
 LESS_LIKELY = "is less likely, by a factor of"
 CONTRADICTED = "is as likely here, and held-out data speak against it"
@@ -90,7 +91,11 @@ class Cause:
     @property
     def not_ruled_out(self) -> tuple[str, ...]:
         """Names that are less likely than this one, but not by enough to rule them out."""
-        apart = (o for o in self.look_alikes if o.difference.startswith((AS_LIKELY, LESS_LIKELY)))
+        apart = (
+            o
+            for o in self.look_alikes
+            if o.difference.startswith((AS_GOOD, AS_LIKELY, LESS_LIKELY))
+        )
         return tuple(other.effect for other in apart)
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, SAME
+from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY, LESS_LIKELY, SAME
 from engine.presentation.cause_sentences import looked_for, not_told_apart
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (
@@ -21,7 +21,7 @@ from engine.words import bounds, enumerated, number, percent
 
 APART = {  # look-alikes in the headline, by what their difference begins with
     "in other words the same on these data": (SAME,),
-    "less likely or not as simple, but not ruled out": (AS_LIKELY, LESS_LIKELY),
+    "less likely or not as simple, but not ruled out": (AS_GOOD, AS_LIKELY, LESS_LIKELY),
 }
 TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
 

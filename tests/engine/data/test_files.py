@@ -767,7 +767,9 @@ def test_comments_between_the_names_and_the_rows():
 
 
 def test_several_records_in_one_file_are_told():
-    with pytest.raises(SeriesError, match=r"t decreases .*one below the other, give each by itself"):
+    with pytest.raises(
+        SeriesError, match=r"t decreases .*one below the other, give each by itself"
+    ):
         read_series_bytes(b"ID,t,y\n1,0,1\n1,1.5,2\n2,0,1\n2,2,3\n", "a.csv")
 
 

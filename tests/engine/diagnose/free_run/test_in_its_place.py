@@ -11,11 +11,12 @@ from engine.diagnose.free_run.search import FreeRound
 def test_what_may_stand_in_its_place_beside_others_is_not_said_to_be_ruled_out():
     rng = np.random.default_rng(0)
 
-    def candidate(*names):
-        return SimpleNamespace(names=names, fit=SimpleNamespace(e=rng.standard_normal(50)))
+    def candidate(*names, loss=9.0):
+        fit = SimpleNamespace(e=rng.standard_normal(50), n_parameters=2)
+        return SimpleNamespace(names=names, fit=fit, losses=loss + 0.1 * rng.standard_normal(16))
 
-    chosen, lost = candidate("offset", "friction"), candidate("drift", "friction")
-    other, worst = candidate("drift", "coulomb"), candidate("bias", "friction")
+    chosen, lost = candidate("offset", "friction", loss=0.0), candidate("drift", "friction")
+    other, worst = candidate("drift", "coulomb", loss=0.0), candidate("bias", "friction")
     one = FreeRound(
         SimpleNamespace(e=rng.standard_normal(50)),
         np.zeros(1),

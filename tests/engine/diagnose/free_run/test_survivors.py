@@ -1,13 +1,19 @@
 """Which candidates survive a round: gaining on rows left out is not enough."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.search import Candidate, survivors
+from engine.diagnose.free_run.answer import _look_alikes
+from engine.diagnose.free_run.null import Alarm
+from engine.diagnose.free_run.search import Candidate, FreeRound, survivors
 from engine.diagnose.free_run_fits.fitted import Pick, fit_runs, with_effects
 from engine.diagnose.free_run_fits.folds import folds_of, losses
+from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY
+from engine.presentation.cause_sentences import standing
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 
 
@@ -52,3 +58,28 @@ def test_a_dead_zone_that_the_record_does_not_leave_does_not_survive(fit):
     assert width.name not in names
     wide = Candidate(found, (effect,), own - 3.0, 1e-6, 0.5)
     assert survivors(own, [wide], setting) == ()
+
+
+def test_only_what_is_worse_on_rows_left_out_is_ruled_out(fit):
+    """One that was left for its parameters, or whose own gain is not sure, is not."""
+    own = losses(fit, folds_of(fit.records))
+    first, _ = candidate(fit, "cubic:position->velocity", own)
+    names = {
+        "pole:position": 0.1,
+        "bias:y": 0.1,
+        "drift:y": 4.0,
+    }  # losses beyond those of the first
+    wiggle = np.resize([1.0, -1.0], own.size)
+    others = []
+    for name, worse in names.items():
+        other, _ = candidate(fit, name, own)
+        others.append(replace(other, losses=first.losses + worse + wiggle, p_gain=0.06))
+    alarm = Alarm(1e-3, 1e-3, 1e-3, 1.0, 0.1, 3.0)
+    one = FreeRound(fit, own, alarm, (), (first, *others), ((first,),), 0.05)
+    told = {o.effect: o for o in _look_alikes(one, first.added[0], ())}
+    assert {name: o.ruled_out for name, o in told.items()} == {
+        "pole:position": False, "bias:y": False, "drift:y": True
+    }  # fmt: skip
+    assert told["pole:position"].difference == AS_LIKELY  # with more parameters
+    assert told["bias:y"].difference == AS_GOOD
+    assert standing(told["bias:y"], ()) == standing(told["pole:position"], ()) == "not ruled out"
