@@ -19,7 +19,7 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_memory
 from engine.diagnose.effects.effect import Effect, Split, pushed
-from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved, each_state
+from engine.diagnose.effects.kinds import Channels, Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
@@ -142,7 +142,12 @@ def _way_to_zero(q: Array, k: Any) -> Array:
     return np.asarray(np.where(np.isfinite(way) & (kq < 1.0), way, np.inf))
 
 
+def _turning(states: Channels, setting: Setting) -> list[str]:
+    """Those that go both ways: on one way alone a loop is a curved drift, which has nothing to remember."""
+    return [name for name in states(setting) if setting.turns(name)]
+
+
 KINDS: list[Kind] = [
-    at_pairs("hysteresis", partial(_bouc_wen, False), each_state),
-    at_pairs("boucwen", partial(_bouc_wen, True), each_moved),
+    at_pairs("hysteresis", partial(_bouc_wen, False), partial(_turning, each_state)),
+    at_pairs("boucwen", partial(_bouc_wen, True), partial(_turning, each_moved)),
 ]

@@ -27,6 +27,7 @@ SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an ef
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
 ZEROS_OUTSIDE = (0.5, 2.0, 10.0)  # of a channel's range, beyond it: where its zero is looked for
+WAY_BACK = 0.01  # of the way out: with less, nothing has come back
 POSITIVE = float(np.finfo(float).tiny)  # in any unit
 ANY_TIME, SOME_TIME = (-np.inf, np.inf), (POSITIVE, np.inf)  # bounds of a time, of a length of time
 FREQUENCIES = (0.02, 0.06, 0.12, 0.25)  # cycles a sample at which the screen looks
@@ -121,6 +122,12 @@ class Setting:
         """The channel's first value in the record; its zero where there is none."""
         values = self._values(channel)
         return float(values[0]) if values.size else self.zero(channel)
+
+    def turns(self, channel: str) -> bool:
+        """Whether the channel, as a speed, goes both ways from its zero in the record, where there is one."""
+        away = self._values(channel) - self.zero(channel)
+        ways = np.array([away[away > 0.0].sum(), -away[away < 0.0].sum()])
+        return not away.size or bool(ways.min() > WAY_BACK * ways.max())
 
     def _values(self, channel: str) -> Array:
         if self.record is None:
