@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,17 @@ from engine.diagnose.effects.clock import reads_no_clock
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel
+from engine.words import enumerated
 
 LEAST = 30  # measured rows without which nothing can be said
 HELD_OUT = 0.2  # share of the longest record kept back where no test series is given
 MOST = 0.5  # of it
 FEWEST_ROWS = 8  # held out, below which neighbours say nothing of a gain or a loss
+# Why a record is not searched beside the longest.
+OTHER_STEPS = "sampled at other steps, or with inputs held otherwise"
+TOO_LONG = "too long for that"
+ELSEWHERE = "elsewhere at first than the covariance of the model's initial state allows"
+LEFT_OUT = (OTHER_STEPS, TOO_LONG, ELSEWHERE)
 ON_TIME = 1e-6  # of a step, by which the steps of two records may differ
 
 
@@ -59,18 +65,36 @@ class Records:
         """Whether the main record's last part is not searched."""
         return not self.tests and self.share > 0.0
 
-    def searched(self, fits: Callable[[Series], bool], most: int) -> Series:
+    def searched(self, fits: Callable[[Series], bool], most: int) -> tuple[Series, dict[str, int]]:
         """What the likelihood searches: the main record, and behind it the others that are sampled alike.
 
         Each begins at a first state of its own, which must be one of the model's, as ``fits`` says. The longest
-        come first, up to ``most`` samples in all.
+        come first, up to ``most`` samples in all. Also how many others are left out, by the reason.
         """
-        taken = [self.train.held(self.main.hold)]
+        taken, left = [self.train.held(self.main.hold)], dict.fromkeys(LEFT_OUT, 0)
         for one in sorted(self.others, key=len, reverse=True):
-            alike = one.hold == self.main.hold and _same_step(one, self.main)
-            if alike and sum(map(len, taken)) + len(one.samples) <= most and fits(one):
+            if one.hold != self.main.hold or not _same_step(one, self.main):
+                left[OTHER_STEPS] += 1
+            elif sum(map(len, taken)) + len(one.samples) > most:
+                left[TOO_LONG] += 1
+            elif not fits(one):
+                left[ELSEWHERE] += 1
+            else:
                 taken.append(one.held(one.hold))
-        return self.train if len(taken) == 1 else together(taken).refined(self.main.substeps)
+        there = {reason: n for reason, n in left.items() if n}
+        if len(taken) == 1:
+            return self.train, there
+        return together(taken).refined(self.main.substeps), there
+
+    def check_enough(self, searched: Series, left: Mapping[str, int]) -> None:
+        """Raise SeriesError where too few rows of all these can be searched together; says why."""
+        rows = self.main.n_measured - self.train.n_measured + searched.n_measured
+        if rows < LEAST and left:
+            raise SeriesError(
+                f"of {1 + len(self.others)} records the likelihood can search {1 + len(searched.begins)} "
+                f"together, with {rows} rows that hold a measurement; at least {LEAST} are needed. "
+                f"{others_left(left)}"
+            )
 
     @property
     def _cut(self) -> int:
@@ -85,6 +109,15 @@ class Records:
             others=tuple(one.refined(k) for one in self.others),
             tests=tuple(one.refined(k) for one in self.tests),
         )
+
+
+def others_left(left: Mapping[str, int]) -> str:
+    """A sentence on the records that are left out, so many for each reason."""
+    if len(left) == 1:
+        (reason,) = left
+        return f"The others are {reason}."
+    parts = [f"{n} {'is' if n == 1 else 'are'} {reason}" for reason, n in left.items()]
+    return f"Of the others {enumerated(parts)}."
 
 
 def records_of(

@@ -9,7 +9,7 @@ the one with fewer, but where the likelihood names a cause instead.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
@@ -27,7 +27,7 @@ from engine.diagnose.free_run.oversampled import (
 from engine.diagnose.free_run.second_opinion import SecondOpinion, second_opinion
 from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
-from engine.diagnose.records import Records
+from engine.diagnose.records import TOO_LONG, Records, others_left
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.judgement import ENOUGH, NAMES
@@ -122,11 +122,13 @@ def _with_these_steps(
     clock.start("fit")
     searched, notes = _searched(model, start, options.free, train, kept)
     if fine.records.others:
+        left = {TOO_LONG: len(fine.records.others)}
         if searched is train:
-            searched = _with_others(model, start, options.free, fine.records, kept)
+            searched, left = _with_others(model, start, options.free, fine.records, kept)
             # what one short record says may lie far along a ridge that all of them close
             start = theta if searched.begins else start
-        notes.append(_of_records(fine.records, 1 + len(searched.begins)))
+            fine.records.check_enough(searched, left)
+        notes.append(_of_records(fine.records, 1 + len(searched.begins), left))
     if thinned_by(searched, train):
         setting = setting_for(model, searched, np.asarray(model.theta(start)))
         options = replace(options, effects=of_any_step(options.effects, setting, options.free))
@@ -188,15 +190,18 @@ def _searched(
 
 def _with_others(
     model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, records: Records, kept: Kept
-) -> Series:
-    """What the likelihood searches of all records, those that begin where a fit to the main one says."""
+) -> tuple[Series, dict[str, int]]:
+    """What the likelihood searches of all records, those that begin where a fit to the main one says.
+
+    Also how many are left out, by the reason.
+    """
     own = kept.within("the longest record")
     fit = own.fit(model, partial(fit_base, model, records.train, theta, free))
     expected = partial(_begins_as_expected, model, np.asarray(fit.theta))
     return records.searched(expected, STRETCH)
 
 
-def _of_records(records: Records, taken: int) -> str:
+def _of_records(records: Records, taken: int, left: Mapping[str, int]) -> str:
     """A sentence about how many of several records the likelihood has searched."""
     n = 1 + len(records.others)
     if taken == n:
@@ -206,9 +211,8 @@ def _of_records(records: Records, taken: int) -> str:
         )
     which = "one, the longest" if taken == 1 else f"{taken} together"
     return (
-        f"Of {n} records the likelihood searched {which}; what is wrong is shown on the longest. The others "
-        "are too long for that, are sampled at other steps, or begin where the model's first state is not. "
-        "The free run was asked on all."
+        f"Of {n} records the likelihood searched {which}; what is wrong is shown on the longest. "
+        f"{others_left(left)} The free run was asked on all."
     )
 
 

@@ -174,6 +174,8 @@ class EmResult(Shown):
         It is the scatter of the last iterations, each with random numbers of its own, where these show no trend
         any more.
         """
+        if isinstance(self.model, MixedModel) and not self.model.nonlinear:
+            return 0.0  # a Kalman filter, whatever the number of particles
         if len(self.ess) and (self.ess == 1.0).all() and not self.collapsed.any():
             return 0.0  # particles have an effective size of one only where they collapse
         last = self.log_likelihood[-WINDOW:]

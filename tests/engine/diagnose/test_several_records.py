@@ -11,6 +11,7 @@ from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain, measure_gain_interleaved
+from engine.diagnose.records import ELSEWHERE, OTHER_STEPS, TOO_LONG, others_left
 from engine.diagnose.search.calibration import drawn_from
 from engine.diagnose.search.findings import Verdict
 from engine.errors import SeriesError
@@ -184,6 +185,43 @@ def test_a_record_that_begins_where_the_model_does_not_is_left_to_the_free_run()
     records[2] = records[2].replace(y=records[2].y + 30.0)
     found = asked(records)
     assert any("Of 4 records the likelihood searched 3 together" in note for note in found.notes)
+
+
+def test_records_of_which_too_few_rows_are_searched_together_are_refused():
+    """55 rows in all, and eleven to name a cause by: each begins where the model cannot be."""
+    dose = engine.continuous(
+        name="dose",
+        drift=lambda a, u, t, theta: ([0.0], [[-theta.k]]),
+        diffusion=lambda a, u, t, theta: [[1e-4]],
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[1e-3]]),
+        initial=lambda theta: (None, [theta.first], [[1e-6]]),
+        linear={"c": "mg/l"},
+        outputs={"y": "mg/l"},
+        parameters=[
+            engine.Parameter("k", 1.0, "1/h", (0.0, 10.0)),
+            engine.Parameter("first", 2.0, "mg/l", (0.0, 20.0)),
+        ],
+    )
+    t, rng = (
+        np.array([0.2, 0.5, 0.8, 1.0, 1.2, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0]),
+        np.random.default_rng(1),
+    )
+    records = [
+        Series(first * np.exp(-t) + 0.03 * rng.standard_normal(11), t=t)
+        for first in (1, 2, 3, 4, 5)
+    ]
+    with pytest.raises(
+        SeriesError, match=r"search 1 together, with 11 rows .* at least 30"
+    ) as told:
+        engine.diagnose(dose, records, effects=["bias"], held_out=0, processes=1)
+    assert "The others are elsewhere at first than the covariance" in str(told.value)
+
+
+def test_why_records_are_not_searched_is_counted():
+    assert others_left({TOO_LONG: 3}) == "The others are too long for that."
+    assert others_left({OTHER_STEPS: 1, ELSEWHERE: 2}) == (
+        f"Of the others 1 is {OTHER_STEPS} and 2 are {ELSEWHERE}."
+    )
 
 
 @pytest.mark.slow

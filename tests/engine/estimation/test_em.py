@@ -13,7 +13,9 @@ from engine import (
     Parameter,
     Series,
     SeriesError,
+    continuous,
     get_model,
+    kalman_smoother,
     ps_em,
     rb_ffbsi,
     rbpf,
@@ -304,6 +306,26 @@ def test_the_log_likelihood_is_printed_with_its_monte_carlo_error():
     exact = rts_em(MODEL, series, [0.3], n_iterations=2)
     assert exact.log_likelihood_error == 0.0
     assert f"iteration: {exact.log_likelihood[-1]:.2f}." in str(exact)
+
+
+def test_the_log_likelihood_of_a_model_without_nonlinear_states_is_exact():
+    decay = continuous(
+        name="decay",
+        drift=lambda a, u, t, theta: ([0.0], [[-theta.k]]),
+        diffusion=lambda a, u, t, theta: [[0.1]],
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[0.1]]),
+        initial=lambda theta: (None, [1.0], [[1.0]]),
+        linear={"x": "1"},
+        outputs={"y": "1"},
+        parameters=[Parameter("k", 0.5, "1/s", (0.0, 5.0))],
+    )
+    series = simulate(decay, None, 30, np.random.default_rng(1)).series
+    found = rbps_em(decay, series, n_iterations=2, **SHORT)
+    assert found.log_likelihood_error == 0.0
+    assert f"iteration: {found.log_likelihood[-1]:.2f}." in str(found)
+    at = found.trace[len(found.log_likelihood) - 1]
+    exact = kalman_smoother(decay, at, series).log_likelihood
+    assert found.log_likelihood[-1] == pytest.approx(exact)
 
 
 @pytest.mark.long
