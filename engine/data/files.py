@@ -6,6 +6,7 @@ Which columns are which channels:
   may be left out (``indoor`` of ``indoor [degC]``), where one column alone is called so;
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
+- ``extra`` are columns that the model does not use, in the same way: a diagnosis tests whether they belong;
 - ``t`` names the column of time stamps: numbers, dates such as ``2024-03-01 13:45:00`` or ``1.3.2024 13:45``,
   or hours, minutes and seconds that go on after a day, ``25:30:00``; left out, a column
   named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``), unless
@@ -68,6 +69,7 @@ def read_series(
     dt: float | None = None,
     hold: str | None = None,
     time_unit: str | None = None,
+    extra: Channels = None,
 ) -> Series:
     """Read a file; see the module's docstring for which columns are read.
 
@@ -79,9 +81,12 @@ def read_series(
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
     table = read_table(data, path.name)
-    series = series_from(table, y, u, t, dt, hold, time_unit)
+    names, columns = _channels(table, extra, "extra") if extra else ([], [])
+    series = series_from(table, y, u, t, dt, hold, time_unit, columns)
+    if columns:
+        series = series.replace(extra=_stacked(table, "extra", columns), extra_names=names)
     if t is None and dt is None and table.dt is None:
-        taken = {*_channels(table, y, "y")[1], *_channels(table, u, "u")[1]}
+        taken = {*_channels(table, y, "y")[1], *_channels(table, u, "u")[1], *columns}
         if not candidates(table, taken):
             column, why = like_times(table, taken)
             if column:

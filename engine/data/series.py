@@ -410,11 +410,12 @@ class Series(Shown):
         dt: float | None = None,
         hold: str | None = None,
         time_unit: str | None = None,
+        extra: Sequence[str] | Mapping[str, str] | None = None,
     ) -> Series:
         """Read a .csv, .mat or .npz file; see :func:`engine.data.files.read_series`."""
         from engine.data.files import read_series
 
-        return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit)
+        return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit, extra=extra)
 
 
 def _columns(values: ArrayLike, name: str) -> Array:

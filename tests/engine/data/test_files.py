@@ -766,6 +766,17 @@ def test_comments_between_the_names_and_the_rows():
     np.testing.assert_array_equal(read_series_bytes(b"y\n#N/A\n1\n", "a.csv").y[:, 0], [np.nan, 1])
 
 
+def test_columns_that_the_model_does_not_use(tmp_path):
+    (tmp_path / "a.csv").write_text("t,flow,rain,wind [m/s]\n0,1,2,3\n2,4,,6\n")
+    series = Series.read(tmp_path / "a.csv", y=["flow"], extra=["wind"])
+    assert (series.u_names, series.extra_names) == ((), ("wind",))
+    np.testing.assert_array_equal(series.extra[:, 0], [3, 6])
+    with pytest.raises(SeriesError, match="no column 'snow' \\(asked for as extra\\)"):
+        read_series(tmp_path / "a.csv", y=["flow"], extra=["snow"])
+    with pytest.raises(SeriesError, match="extra"):
+        read_series(tmp_path / "a.csv", y=["flow"], extra=["rain"])  # a gap in an input
+
+
 def test_several_records_in_one_file_are_told():
     with pytest.raises(
         SeriesError, match=r"t decreases .*one below the other, give each by itself"
