@@ -81,7 +81,7 @@ def read_series(
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
     table = read_table(data, path.name)
-    names, columns = _channels(table, extra, "extra") if extra else ([], [])
+    names, columns = _channels(table, extra or (), "extra")
     series = series_from(table, y, u, t, dt, hold, time_unit, columns)
     if columns:
         series = series.replace(extra=_stacked(table, "extra", columns), extra_names=names)
