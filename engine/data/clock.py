@@ -115,7 +115,11 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
         shown = np.asarray(t).ravel()
         dated = shown.dtype.kind not in "fiub"
         text = str(shown[row]) if dated else f"{times[row]:.12g}"
-        hint = _winter(times, row, shown[row], unit) if dated else ""
+        hint = (
+            (_winter(times, row, shown[row], unit) or _swapped(times, row, shown, unit))
+            if dated
+            else ""
+        )
         if kind == "repeats" and text.endswith(" 00:00:00"):
             hint = "; if another column has the time of day, write both in one: 2024-03-01 13:45:00"
         elif kind == "repeats" and not dated:
@@ -145,6 +149,22 @@ def _winter(times: Array, row: int, date: Any, unit: str) -> str:
     return (
         "; if the clock was set back to winter time here, write the time stamps with their zone, as in "
         "2024-10-27T02:00:00+01:00"
+    )
+
+
+def _swapped(times: Array, row: int, shown: Array, unit: str) -> str:
+    """What to look at where the row before follows with day and month in each other's place; else ""."""
+    try:
+        before, after = (datetime.fromisoformat(str(one)) for one in shown[row - 1 : row + 1])
+        other = before.replace(month=before.day, day=before.month)
+        gap = (after - other).total_seconds() / _seconds_of(unit)
+    except (ValueError, TypeError):  # no such day, or not written so
+        return ""
+    if not 0.0 < gap <= 1.5 * float(np.median(np.diff(times))):
+        return ""
+    return (
+        f"; it follows on {other:%Y-%m-%d}, which the row before has with day and month in each other's place: "
+        "look at all rows whose day is 12 or less"
     )
 
 

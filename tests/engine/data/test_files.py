@@ -766,6 +766,19 @@ def test_comments_between_the_names_and_the_rows():
     np.testing.assert_array_equal(read_series_bytes(b"y\n#N/A\n1\n", "a.csv").y[:, 0], [np.nan, 1])
 
 
+def test_days_and_months_in_each_others_place_are_told():
+    """As a spreadsheet leaves them that takes 12.1. for the first of December, and 13.1. for no date at all."""
+    rows = "".join(f"2014-{d:02d}-01 {h:02d}:00:00,1\n" for d in (11, 12) for h in (0, 12))
+    rows += "2014-01-13 00:00:00,1\n2014-01-13 12:00:00,1\n"
+    with pytest.raises(
+        SeriesError, match=r"line 6 .*; it follows on 2014-01-12, which the row before"
+    ):
+        read_series_bytes(b"time,y\n" + rows.encode(), "a.csv")
+    plain = b"time,y\n2014-12-01 12:00:00,1\n2014-12-02 00:00:00,1\n2014-01-17 00:00:00,1\n"
+    with pytest.raises(SeriesError, match=r"time must increase$"):
+        read_series_bytes(plain, "a.csv")
+
+
 def test_columns_that_the_model_does_not_use(tmp_path):
     (tmp_path / "a.csv").write_text("t,flow,rain,wind [m/s]\n0,1,2,3\n2,4,,6\n")
     series = Series.read(tmp_path / "a.csv", y=["flow"], extra=["wind"])
