@@ -378,7 +378,11 @@ class Series(Shown):
         clock = self.time_unit
         every = f"every {self.dt:g} {clock}" if self.dt is not None else "irregularly"
         rows: list[tuple[object, ...]] = []
-        for kind, names, values in (("y", self.y_names, self.y), ("u", self.u_names, self.u)):
+        for kind, names, values in (
+            ("y", self.y_names, self.y),
+            ("u", self.u_names, self.u),
+            ("extra", self.extra_names, self.extra),
+        ):
             for name, column in zip(names, values.T, strict=True):
                 there = column[~np.isnan(column)]
                 least, mean, most = (

@@ -784,6 +784,7 @@ def test_columns_that_the_model_does_not_use(tmp_path):
     series = Series.read(tmp_path / "a.csv", y=["flow"], extra=["wind"])
     assert (series.u_names, series.extra_names) == ((), ("wind",))
     np.testing.assert_array_equal(series.extra[:, 0], [3, 6])
+    assert any(line.split()[:2] == ["extra", "wind"] for line in str(series).splitlines())
     with pytest.raises(SeriesError, match="no column 'snow' \\(asked for as extra\\)"):
         read_series(tmp_path / "a.csv", y=["flow"], extra=["snow"])
     with pytest.raises(SeriesError, match="extra"):
