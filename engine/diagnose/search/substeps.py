@@ -210,8 +210,11 @@ def are_too_long(
 ) -> bool:
     """Whether much of what the free run of a model with effects gets wrong is an error of its steps.
 
-    ``theta`` are the values of the extended model, ``x1`` (nx,) its first state.
+    ``theta`` are the values of the extended model, ``x1`` (nx,) its first state. False where there are no
+    shorter ones, as with what counts samples at irregular times.
     """
+    if not have_finer(names, series):
+        return False
     plain = series.held(series.hold)
     runs = []
     for k in (series.substeps, 2 * series.substeps):

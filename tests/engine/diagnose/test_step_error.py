@@ -20,7 +20,7 @@ from engine.diagnose.search.checkpoint import NOTHING
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.step_error import steps_for_sizes
-from engine.diagnose.search.substeps import can_be_finer
+from engine.diagnose.search.substeps import are_too_long, can_be_finer
 from engine.estimation.quasi_ml import quasi_ml
 from engine.statespace.promotion import promote
 from tests.engine.other_units import Units
@@ -225,6 +225,9 @@ def test_what_counts_samples_is_not_asked_of_shorter_steps_at_irregular_times():
     assert step_error.by_shorter_steps(9.0, setting, names, fit, apart, NOTHING) == 0.0
     assert step_error.decides(found, names, fit, apart, setting, NOTHING, 4) == 0.0
     assert steps_for_sizes(names, fit, apart, setting, 4, NOTHING) == 1
+    # nor the free run: it said that it had not been asked, for want of samples at a common step
+    at = np.asarray(late.theta({"delay_tacho": 1.5}))
+    assert not are_too_long(DRIVE, names, at, apart, np.zeros(late.nx))
 
 
 @pytest.mark.parametrize(("drag", "steps"), [(1.5, 2), (0.3, 1)])
