@@ -111,7 +111,7 @@ def make_effect(name: str, setting: Setting) -> Effect:
     if kind in COUNTING and not setting.tells_samples:
         raise OptionError(
             f"effect '{name}' counts samples, which are at no common step here and have {setting.substeps} "
-            "steps each; it needs samples at a common step, or one step each",
+            "steps each; it needs samples at a common step, or about such, and one step each",
             "effects",
         )
     effect = _made(kind, setting, channel)

@@ -27,6 +27,7 @@ SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an ef
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
 ZEROS_OUTSIDE = (0.5, 2.0, 10.0)  # of a channel's range, beyond it: where its zero is looked for
+NEARLY_ALL = 0.9  # of the steps
 WAY_BACK = 0.01  # of the way out: with less, nothing has come back
 POSITIVE = float(np.finfo(float).tiny)  # in any unit
 ANY_TIME, SOME_TIME = (-np.inf, np.inf), (POSITIVE, np.inf)  # bounds of a time, of a length of time
@@ -212,8 +213,18 @@ class Setting:
 
     @property
     def tells_samples(self) -> bool:
-        """Whether times tell the samples from the steps between them, as what counts samples needs."""
-        return self.regular or self.substeps == 1
+        """Whether times tell the samples from the steps between them, as what counts samples needs.
+
+        Of a model whose dt is a real one, so many samples must also be about one time.
+        """
+        return self.regular or (self.substeps == 1 and self._alike)
+
+    @cached_property
+    def _alike(self) -> bool:
+        """Whether nearly every step from sample to sample is the usual one, when rounded to such."""
+        if self.record is None or not self.model.continuous:
+            return True
+        return bool(np.mean(np.abs(self.record.dt / self.dt - 1.0) < 0.5) >= NEARLY_ALL)
 
     def at_sample(self, t: Any) -> Any:
         """Whether a time t (a number or (M,)) is that of a sample: True, or (M,) where times are refined.

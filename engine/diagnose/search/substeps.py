@@ -91,13 +91,13 @@ def prepare(
         )
         return Prepared(records, notes=(text,), theta=theta)
     k = choose(setting, part, theta)
-    notes = [f"The model makes {k} steps a sample, so that effects act within it."]
-    if not regular:
+    notes = [f"The model makes {k} steps a sample, so that effects act within it."] if k > 1 else []
+    if not regular and (k > 1 or not setting.tells_samples):
         notes.append(
             f"Samples are not at one common step, so nothing that counts samples ({', '.join(COUNTING)}) is "
             "looked for."
         )
-    return Prepared(records.refined(k), k, tuple(notes) if k > 1 else (), theta, finer=k < MOST)
+    return Prepared(records.refined(k), k, tuple(notes), theta, finer=k < MOST)
 
 
 def can_be_finer(setting: Setting, series: Series, theta: Array, names: Sequence[str] = ()) -> bool:

@@ -197,6 +197,19 @@ def test_samples_at_no_common_step_get_several_steps_too():
         make_effect("lag:y", setting_for(model, irregular.refined(2), theta))
 
 
+def test_so_many_samples_are_no_time_where_steps_grow():
+    """As of a drug's curve, from minutes to hours: a slow input was named a delay of 1.8 samples."""
+    model, series = engine.get_model("oscillator"), swings().part(0, 40)
+    theta = np.asarray(model.theta())
+    growing = series.replace(t=1e-3 * 1.2 ** np.arange(40.0))
+    known = setting_for(model, growing, theta)
+    assert not known.tells_samples
+    assert not {e.kind for e in all_effects(known)} & set(COUNTING)
+    told = prepare(model, Records(growing), lambda: theta)
+    assert any("nothing that counts samples (lag, delay, play)" in note for note in told.notes)
+    assert setting_for(replace(model, continuous=False), growing, theta).tells_samples
+
+
 @pytest.mark.slow
 def test_the_page_says_what_is_wrong_with_the_steps_that_were_fitted():
     """Once the first section was made with one step a sample, and a clean record looked all wrong.
