@@ -115,12 +115,13 @@ def joined(one: Series, other: Series) -> Series:
     Where both are refined, so is the step from the last sample of the one to the first of the other.
     """
     t, k = np.asarray(other.t), one.substeps
-    step = one.usual_step
+    at_sample = (len(one) - 1) % k == 0  # else the rows up to the next sample are there
+    step = one.usual_step * (k if at_sample else 1)
     if t[0] <= one.t[-1]:
         t = t - t[0] + one.t[-1] + step
     names = ("y", "u", "t", "extra")
     parts = [{n: getattr(one, n) for n in names}, {n: getattr(other, n) for n in names} | {"t": t}]
-    if k > 1 and t[0] - one.t[-1] > 1.5 * step:
+    if k > 1 and at_sample:
         ends = {n: np.concatenate([parts[0][n][-1:], parts[1][n][:1]]) for n in names}
         pair = one.replace(**ends, substeps=1).refined(k)
         parts.insert(1, {n: getattr(pair, n)[1:k] for n in names})

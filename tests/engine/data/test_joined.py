@@ -32,6 +32,23 @@ def test_two_parts_joined_are_the_whole(hold, k):
     assert again.substeps == expected.substeps
 
 
+@pytest.mark.parametrize("cut", [5, 9])
+def test_parts_of_a_refined_record_at_irregular_times_are_the_whole(cut):
+    """The step where it is cut, far longer than the usual one, had its rows twice, and a search ended."""
+    t = np.cumsum([0.0, 1.0, 1.0, 1.0, 1.0, 9.0, 1.0, 1.0, 1.0, 4.0, 1.0, 1.0])
+    whole = record(len(t)).replace(t=t).refined(4)
+    for one in (
+        whole.part(0, 4 * cut),
+        whole.part(0, 4 * (cut - 1) + 1),
+    ):  # with the rows between, without
+        again = joined(one, whole.part(4 * cut, len(whole)))
+        np.testing.assert_allclose(again.t, whole.t)
+        np.testing.assert_array_equal(again.y, whole.y)
+    later = joined(whole.part(0, 4 * (cut - 1) + 1), whole)  # on a clock of its own
+    assert np.diff(later.t).min() > 0.0
+    assert len(later) == len(whole) + 4 * cut
+
+
 def test_what_follows_is_told_by_the_times():
     whole = record()
     one, other = whole.part(0, 100), whole.part(100, 240)
