@@ -113,7 +113,7 @@ def in_a_line(found: Diagnosis) -> str:
         return f"{found.verdict.sentence} Nearest: {said}"
     if found.gain is None:
         return f"{said}. No data were held out to judge it."
-    return f"{said}. {'Adopted' if found.gain.adopt else 'Not adopted'} on held-out data."
+    return f"{said}. {'Adopted' if found.adopted else 'Not adopted'} on held-out data."
 
 
 def _cause(one: Cause, series: Series) -> str:

@@ -193,6 +193,11 @@ class Diagnosis(Shown):
         return self.verdict is not Verdict.UNKNOWN
 
     @property
+    def adopted(self) -> bool:
+        """Whether the extension is: held-out data call for it, and the names of its causes are trusted."""
+        return self.gain is not None and self.gain.adopt and self.trusted
+
+    @property
     def measured(self) -> tuple[str, ...]:
         """The outputs of which the record has readings."""
         seen = self.series.observed

@@ -234,7 +234,7 @@ def unnamed(d: Diagnosis) -> UnnamedForce | None:
 def _extension(d: Diagnosis) -> Iterator[str]:
     if not d.causes:
         yield "  None: the model stays as it is."
-    elif d.gain is not None and not (d.gain.adopt and d.trusted):
+    elif d.gain is not None and not d.adopted:
         yield "  Not adopted, as 4 says: the model stays as it is. With what was found it would be"
     elif d.gain is None:
         yield "  Not judged, as 4 says. With what was found the model would be"

@@ -73,7 +73,7 @@ def test_the_designed_experiment(capsys):
 
 @pytest.mark.long
 def test_the_measured_record_in_short(capsys):
-    _, printed = run("found.gain.adopt)  # named step:flow True", capsys)
+    _, printed = run("found.adopted)  # named step:flow True", capsys)
     assert printed == "named step:flow True\n"
 
 

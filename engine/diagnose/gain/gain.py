@@ -69,7 +69,7 @@ class Gain:
 
     @property
     def adopt(self) -> bool:
-        """Whether the extension is adopted."""
+        """Whether these data call for the extension; whether it is adopted tells ``Diagnosis.adopted``."""
         return self.decision is Decision.ADOPTED
 
     def to_dict(self) -> dict[str, Any]:

@@ -198,7 +198,7 @@ def test_what_would_be_adopted_is_not_while_its_cause_is_unknown(found, p_gain, 
         one = replace(found, gain=gain, verdict=verdict)
         assert ("Adopted" in str(one)) == adopted
         assert ("as 4 says" in str(one)) != adopted
-        assert one.to_dict()["gain"]["adopt"] is adopted
+        assert one.to_dict()["gain"]["adopt"] is one.adopted is adopted
     assert gain.adopt  # what held-out data say of it
 
 
