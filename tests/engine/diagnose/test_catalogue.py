@@ -106,7 +106,7 @@ def test_two_effects_with_states_of_their_own_have_as_many_names_as_states():
     series = engine.simulate(model, None, 50, np.random.default_rng(3)).series
     own = all_effects(setting_for(model, series, np.asarray(model.theta())))
     own = [effect for effect in own if effect.apply(model).nx > model.nx]
-    assert {"hysteresis:a", "boucwen:a", "slow-sensor:y1"} <= {effect.name for effect in own}
+    assert {"hysteresis:z1", "boucwen:z1", "slow-sensor:y1"} <= {effect.name for effect in own}
     for one, other in combinations(own, 2):
         extended = other.apply(one.apply(model))
         a = np.zeros((1, extended.na))
