@@ -76,7 +76,8 @@ def prepare(
     one common step, else one step a sample is kept; where the main one is not, nothing that counts is asked.
     """
     if not model.continuous or model.steps_counted:
-        return Prepared(records)
+        text = "" if model.steps_counted else undeclared(model, records.main)
+        return Prepared(records, notes=(text,) if text else ())
     regular = records.main.dt is not None
     if regular and not all(_regular(records.main, one) for one in records.every):
         text = "Samples are not at one common step: the model makes one step a sample."
@@ -98,6 +99,28 @@ def prepare(
             "looked for."
         )
     return Prepared(records.refined(k), k, tuple(notes), theta, finer=k < MOST)
+
+
+def undeclared(model: MixedModel, series: Series) -> str:
+    """What to declare of a model of steps that are those of a differential equation; else ""."""
+    theta = np.asarray(model.theta())
+    try:
+        points = sampled(setting_for(model, series, theta))
+        mean, cov = _halving(model, theta, points, 1.0)
+        moved = [
+            step(model, theta, x[None], u, t, dt)[0] - x
+            for x, u, t, dt in zip(points.x, points.u, points.t, points.dt, strict=True)
+        ]
+    except (EngineError, np.linalg.LinAlgError):
+        return ""
+    still = float(np.abs(np.array(moved) / points.scale).max(initial=0.0)) <= EXACT
+    if still or not (float(mean.max(initial=0.0)) <= EXACT and cov <= ALIKE_NOISE):
+        return ""
+    return (
+        f"Two half-steps of model '{model.name}' agree with one, so its steps may be shorter than a sample: "
+        "declare it (continuous=True). Until then effects act at the end of a step, and what that gets "
+        "wrong of a strong one may be given a name of its own."
+    )
 
 
 def can_be_finer(setting: Setting, series: Series, theta: Array, names: Sequence[str] = ()) -> bool:

@@ -1,11 +1,15 @@
 """A reaction of two substances: a term that neither of them has by itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, make_effect
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.records import Records
+from engine.diagnose.search.substeps import prepare, undeclared
 
 T, DT, FINE = 400, 0.2, 20
 
@@ -86,3 +90,20 @@ def test_what_is_no_product_of_two_signals_onto_a_state_is_refused(channel):
     setting = setting_for(TUBE, record(0.0), np.asarray(TUBE.theta()))
     with pytest.raises(engine.OptionError):
         make_effect(f"product:{channel}", setting)
+
+
+@pytest.mark.long
+def test_a_model_that_may_be_stepped_more_finely_and_does_not_say_so_is_told():
+    """With its step declared the rate is right however strong: the step's error had names of its own."""
+    strong = record(0.15)
+    (note,) = prepare(TUBE, Records(strong), lambda: np.asarray(TUBE.theta())).notes
+    assert "continuous=True" in note
+    steps = engine.get_model("linear-2")
+    assert undeclared(steps, engine.simulate(steps, None, 60, 1).series) == ""
+    declared = replace(TUBE, continuous=True)
+    found = diagnose(
+        declared, strong, effects=["product", "linear"], seed=1, held_out=0, processes=1
+    )
+    (cause,) = found.causes
+    assert cause.size == pytest.approx(-0.15, abs=3.0 * cause.standard_error)
+    assert not any("continuous=True" in note for note in found.notes)
