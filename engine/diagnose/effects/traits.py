@@ -37,6 +37,7 @@ class Traits:
     neither of these), where the kind is natural. ``says_hold``: what a series would say instead, see
     :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
     parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
+    ``foreseen``: between which values its size is if it is the cause, where that is known before it is fitted.
     ``whole``: it is a delay whose size is the mean, and all of it, where it is there, is so late; its second
     parameter says how late its latest part is.
     """
@@ -53,6 +54,7 @@ class Traits:
     says_hold: str = ""
     contains: tuple[str, ...] = ()
     of_record: bool = False
+    foreseen: tuple[float, float] | None = None
     whole: bool = False
 
     @property

@@ -16,6 +16,7 @@ UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible
 FORESEEN = (
     2.0  # times its statistic, at most, an effect gains when it is refitted: noise shrinks with it
 )
+ANYWAY = 6.0  # of the score: so near the best, what is there anyhow leads, where its size is the one foreseen
 EVEN = 0.05  # of the score: what refits leave undone, so that it may not decide which name leads
 
 
@@ -44,11 +45,25 @@ def settle(
     unnamed = [r for r in refits if r.effect.traits.unnamed]
     ranked = sorted((r for r in refits if not r.effect.traits.unnamed), key=lambda r: -r.score)
     within = [r for r in ranked if r.score >= ranked[0].score - margin]
-    equivalent = _led(distinct(within, series, setting), setting)
+    anyway = [r for r in ranked if r.score >= ranked[0].score - ANYWAY and _as_foreseen(r)]
+    if anyway:  # others must be ahead of it, for their sizes are fitted
+        ahead = (r for r in within if r is not anyway[0] and r.score > anyway[0].score + margin)
+        equivalent = (anyway[0], *distinct(list(ahead), series, setting))
+    else:
+        equivalent = _led(distinct(within, series, setting), setting)
     if equivalent:  # of effects that are the same here, the name that stands for them leads
         ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
     top = max(unnamed, key=lambda r: r.score) if unnamed else None
     return Round(screen, tuple(ranked), top, equivalent)
+
+
+def _as_foreseen(refit: Refit) -> bool:
+    """Whether the size is what it must be if the cause is this one: others would have it by chance."""
+    foreseen = refit.effect.traits.foreseen
+    if foreseen is None:
+        return False
+    low, high = foreseen
+    return bool(low <= refit.fit.theta[refit.effect.size.name] <= high)
 
 
 def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
