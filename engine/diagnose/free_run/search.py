@@ -23,7 +23,7 @@ from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_bette
 from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import LEAST_ERRORS
-from engine.diagnose.search.likeness import rank
+from engine.diagnose.search.likeness import as_foreseen, rank
 from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array, Theta
 
@@ -286,7 +286,7 @@ def survivors(
         else:
             groups.append([candidate])
     for group in groups:
-        group.sort(key=lambda c: rank(c.added, setting))
+        group.sort(key=lambda c: (not _foreseen(c), rank(c.added, setting)))
     groups.sort(key=lambda group: not _of_the_model(group[0]))
     return tuple(map(tuple, groups))
 
@@ -319,6 +319,11 @@ def _within(share: float, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those whose error on rows left out is at most that much larger than the least."""
     most = (1.0 + share) * min(c.held_out for c in candidates)
     return [c for c in candidates if c.held_out <= most]
+
+
+def _foreseen(candidate: Candidate) -> bool:
+    """Whether one of its effects has the size that it must have, if it is the cause."""
+    return any(as_foreseen(effect, candidate.fit) for effect in candidate.added)
 
 
 def _of_the_model(candidate: Candidate) -> bool:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search.refits import Refit, held_out_terms
+from engine.statespace.model import Theta
 
 NEEDED = 2.0  # of the score, that the wider kind must be ahead
 
@@ -57,6 +59,22 @@ def contains(wide: Effect, plain: Effect) -> bool:
     """Whether an effect becomes a plainer one, at the same place, at the end of its parameters' range."""
     places = (wide.channel, wide.channel.partition("->")[0])
     return plain.kind in wide.traits.contains and plain.channel in places
+
+
+class Estimated(Protocol):
+    """A fit, by whichever criterion."""
+
+    @property
+    def theta(self) -> Theta:
+        """All parameters."""
+
+
+def as_foreseen(effect: Effect, fit: Estimated) -> bool:
+    """Whether its size is what it must be if it is the cause: others would have theirs so by chance."""
+    if effect.traits.foreseen is None:
+        return False
+    low, high = effect.traits.foreseen
+    return bool(low <= fit.theta[effect.size.name] <= high)
 
 
 def rank(effects: Sequence[Effect], setting: Setting) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.likeness import distinct, rank
+from engine.diagnose.search.likeness import as_foreseen, distinct, rank
 from engine.diagnose.search.refits import Refit
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
@@ -45,7 +45,9 @@ def settle(
     unnamed = [r for r in refits if r.effect.traits.unnamed]
     ranked = sorted((r for r in refits if not r.effect.traits.unnamed), key=lambda r: -r.score)
     within = [r for r in ranked if r.score >= ranked[0].score - margin]
-    anyway = [r for r in ranked if r.score >= ranked[0].score - ANYWAY and _as_foreseen(r)]
+    anyway = [
+        r for r in ranked if r.score >= ranked[0].score - ANYWAY and as_foreseen(r.effect, r.fit)
+    ]
     if anyway:  # others must be ahead of it, for their sizes are fitted
         ahead = (r for r in within if r is not anyway[0] and r.score > anyway[0].score + margin)
         equivalent = (anyway[0], *distinct(list(ahead), series, setting))
@@ -55,15 +57,6 @@ def settle(
         ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
     top = max(unnamed, key=lambda r: r.score) if unnamed else None
     return Round(screen, tuple(ranked), top, equivalent)
-
-
-def _as_foreseen(refit: Refit) -> bool:
-    """Whether the size is what it must be if the cause is this one: others would have it by chance."""
-    foreseen = refit.effect.traits.foreseen
-    if foreseen is None:
-        return False
-    low, high = foreseen
-    return bool(low <= refit.fit.theta[refit.effect.size.name] <= high)
 
 
 def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
