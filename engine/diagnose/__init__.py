@@ -37,6 +37,7 @@ from engine.diagnose.effects.catalogue import (
     make_effect,
     register_effect,
     shadowed,
+    unmade,
 )
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
@@ -229,6 +230,12 @@ def diagnose(  # noqa: PLR0913
         notes.append(
             f"Not looked for: {enumerated(hidden)}, as parameters of the model have the names of theirs; name "
             "these otherwise."
+        )
+
+    unknown = unmade(causes.setting, effects)
+    if unknown:
+        notes.append(
+            f"Not looked for: {enumerated(unknown)}, as this model and these data have no such effect."
         )
 
     bootstrapped = None

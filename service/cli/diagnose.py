@@ -138,9 +138,9 @@ def _interrupted(asked: Asked, kept: Early) -> Ending:
 def _check_effects(model: MixedModel, asked: Asked) -> None:
     """Refuse effects to look for that are neither a kind nor one of this model's."""
     extra = tuple(asked.extra)
-    there = {one.name for one in all_effects(Setting(with_inputs(model, extra), extra=extra))}
+    setting = Setting(with_inputs(model, extra), extra=extra)
     for name in asked.consider:
-        if name not in there and name not in effect_kinds():
+        if name not in effect_kinds() and not all_effects(setting, [name]):
             raise wrong(
                 f"--effects {name}: there is no such effect; 'rbps models NAME --effects' lists them"
             )

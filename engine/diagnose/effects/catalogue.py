@@ -153,19 +153,39 @@ def shadowed(setting: Setting, kinds: Sequence[str] | None = None) -> list[str]:
 
 
 def _every(setting: Setting, kinds: Sequence[str] | None) -> Iterator[Effect]:
-    """The effects of these kinds, also those that the model has."""
-    scales = set(setting.model.scale_states)
+    """The effects of these kinds, also those that the model has.
+
+    And those asked for by name that no kind lists, as a product of two inputs.
+    """
+    scales, seen = set(setting.model.scale_states), set[str]()
     for kind, (_, channels) in _makers.items():
         if kind in COUNTING and not setting.tells_samples:
             continue
-        for channel in channels(setting):
+        for channel in dict.fromkeys([*channels(setting), *_channels_named(kind, kinds)]):
             if kinds is not None and kind not in kinds and f"{kind}:{channel}" not in kinds:
                 continue
-            if not scales.isdisjoint(re.split("->|,", channel)):
+            if not scales.isdisjoint(re.split(r"->|,|\*", channel)):
                 continue
             effect = _made(kind, setting, channel)
-            if effect is not None:
+            if effect is not None and effect.name not in seen:
+                seen.add(effect.name)
                 yield effect
+
+
+def _channels_named(kind: str, kinds: Sequence[str] | None) -> list[str]:
+    """The channels of a kind among names ``kind:channel``."""
+    names = (name.partition(":") for name in kinds or ())
+    return [channel for one, sign, channel in names if sign and one == kind]
+
+
+def unmade(setting: Setting, kinds: Sequence[str] | None) -> list[str]:
+    """Names ``kind:channel`` among these that no effect of this model has."""
+    return [
+        name
+        for name in kinds or ()
+        if (kind := name.partition(":")[0]) != name
+        and _made(kind, setting, name.partition(":")[2]) is None
+    ]
 
 
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:

@@ -13,12 +13,18 @@ class Origin:
     """The zero of ``channel`` for the effect whose size is ``name``.
 
     Where the setting does not know it, the effect gets the last parameter ``<name>_zero``, held at
-    ``start`` (default: :meth:`Setting.zero`) until a search frees it. Where it may be anywhere, an effect
-    that is proportional to the distance from it is looked at from ``outside`` of the record's range, too.
+    ``start`` (default: :meth:`Setting.zero`) until a search frees it; of an effect that counts ``of_several``
+    channels ``<name>_zero_<channel>``. Where it may be anywhere, an effect that is proportional to the distance
+    from it is looked at from ``outside`` of the record's range, too.
     """
 
     def __init__(
-        self, setting: Setting, name: str, channel: str, start: float | None = None
+        self,
+        setting: Setting,
+        name: str,
+        channel: str,
+        start: float | None = None,
+        of_several: bool = False,
     ) -> None:
         self.value = setting.zero(channel) if start is None else start
         self.parameters: tuple[Parameter, ...] = ()
@@ -29,7 +35,8 @@ class Origin:
                 self.outside = setting.zeros_outside(channel)
             bounds = min((low, self.value, *self.outside)), max((high, self.value, *self.outside))
             what = f"zero of {channel} that it counts from"
-            zero = Parameter(f"{name}_zero", self.value, setting.unit(channel), bounds, what)
+            named = f"{name}_zero_{setting.identifier(channel)}" if of_several else f"{name}_zero"
+            zero = Parameter(named, self.value, setting.unit(channel), bounds, what)
             self.parameters = (zero,)
 
     @property

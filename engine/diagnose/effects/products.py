@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 from typing import Any
 
@@ -21,53 +20,56 @@ TIMES, ONTO = "*", "->"
 def _product(setting: Setting, channel: str) -> Effect | None:
     """``one*other->target``: what either does depends on the other, counted from their zeros."""
     source, _, target = channel.partition(ONTO)
-    one, _, other = source.partition(TIMES)
-    known = {**setting.states, **setting.model.inputs}
-    if target not in setting.states or one == other or not {one, other} <= set(known):
+    pair = _factors(source, [*setting.states, *setting.model.inputs])
+    if target not in setting.states or not pair:
         return None
+    one, other = pair
+    channel = f"{one}{TIMES}{other}{ONTO}{target}"
     name = setting.identifier("product", f"{one},{other}", target)
-    counted = _counted_from(setting, name, one, other)
+    # where nobody knows a zero from the middle: from elsewhere it adds what the other signal does by itself;
+    # held as a parameter, so that a model made again without the record counts from the same place
+    origins = [Origin(setting, name, each, of_several=True) for each in (one, other)]
+    zeros = [p for origin in origins for p in origin.parameters]
     needs = tuple(each for each in (one, other) if each in setting.states)
 
     def extend(model: MixedModel) -> MixedModel:
         def term(v: Any, own: Any) -> Any:
-            return own[0] * (v[one] - counted[0].of(own)) * (v[other] - counted[1].of(own))
+            first, second = own[1 : 1 + len(origins[0].parameters)], own[1:]
+            return own[0] * (v[one] - origins[0].of(first)) * (v[other] - origins[1].of(second))
 
         return add_to_state(model, target, term, needs)
 
     both = unit_product(setting.unit(one), setting.unit(other))
-    text = " * ".join(zero.text(each) for zero, each in zip(counted, (one, other), strict=True))
-    origin = max(counted, key=lambda zero: len(zero.parameters))
+    text = " * ".join(origin.text(each) for each, origin in zip((one, other), origins, strict=True))
     return Effect(
         "product",
         channel,
         "state",
         f"product of {one} and {other} acting on {target}",
         f"{target}' = ... + dt * {name} * {text}",
-        extend=extend,
+        (Parameter(name, 0.0, setting.rate(target, both), description="rate per product"), *zeros),
+        extend,
+        probes=(tuple(p.default for p in zeros),),
+        held=tuple(p.name for p in zeros),
         look_alikes={
             "coupling": "does not depend on the other signal",
             "quadratic": "depends on one signal only",
             "input-gain": "does not depend on the state",
         },
         traits=Traits(plainness=ANY + 1),
-        **origin.proportional(
-            Parameter(name, 0.0, setting.rate(target, both), description="rate per product")
-        ),
     )
 
 
-def _counted_from(setting: Setting, name: str, one: str, other: str) -> list[Origin]:
-    """Where each of the two counts from; one zero at most is a parameter, that of a scale without one."""
-    afloat = next((each for each in (one, other) if setting.zeros_outside(each)), one)
-    known = replace(
-        setting,
-        zeros={
-            **setting.known_zeros,
-            **{each: setting.zero(each) for each in (one, other) if each != afloat},
-        },
-    )
-    return [Origin(known, name, each) for each in (one, other)]
+def _factors(source: str, known: Sequence[str]) -> list[str]:
+    """The two channels of ``one*other``, in the order in which they are known; empty where there are no two.
+
+    Either may have the sign in its name.
+    """
+    ways = (i for i, sign in enumerate(source) if sign == TIMES)
+    for one, other in ((source[:i], source[i + 1 :]) for i in ways):
+        if one != other and one in known and other in known:
+            return sorted((one, other), key=known.index)
+    return []
 
 
 def _each_product(setting: Setting) -> Iterator[str]:
