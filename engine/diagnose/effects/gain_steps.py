@@ -14,6 +14,7 @@ from engine.diagnose.effects.time import from_when, lasting, since
 from engine.diagnose.effects.traits import ANY, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
+NEAREST = 2  # places beyond the record from which it is looked for: one on either side
 WITHIN = (-3.0, 10.0)  # a dead actuator is -1, one wired the other way -2
 
 
@@ -75,11 +76,11 @@ def _gain_that_changes(
     def gain(own: Sequence[Any], t: Any) -> Any:
         return own[0] * since(t, own[1:], setting.later)
 
-    members = origin.counted(
-        Parameter(name, 0.0, "1", WITHIN, "relative change of the gain"),
-        *further,
-        probes=(tuple(p.default for p in further),),
-    )
+    size = Parameter(name, 0.0, "1", WITHIN, "relative change of the gain")
+    members = origin.counted(size, *further, probes=(tuple(p.default for p in further),))
+    # from a zero beyond the record it comes at another row than from the middle of it
+    probe = members["probes"][0][:-1]
+    members["probes"] += tuple((*probe, place) for place in origin.outside[:NEAREST])
     members["held"] += tuple(p.name for p in further[1:])
     return Effect(
         kind,
@@ -90,7 +91,13 @@ def _gain_that_changes(
         extend=lambda model: extend(model, gain, origin),
         look_alikes=look_alikes,
         # what the model has a parameter for is said by its name
-        traits=Traits(Course.STEP, of_gain=True, swallowed=True, plainness=ANY + 1),
+        traits=Traits(
+            Course.STEP,
+            of_gain=True,
+            swallowed=True,
+            plainness=ANY + 1,
+            contains=("step",),  # of a reading far from the zero it counts from
+        ),
         **members,
     )
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,6 +30,9 @@ CHUNK = 50  # columns held in memory at once; even, as a harmonic has two
 FINER = 2.0  # frequencies per cycle over the whole record
 MOST_IRREGULAR = 4000  # of them where steps are not equal
 PEAKS = 20  # of them tested exactly
+# what a unit of an effect adds to x_{t+1} and to y_t, see :func:`_driver`
+Driver: TypeAlias = tuple[Array, Array]
+Chunk: TypeAlias = list[tuple[tuple[float, ...], Column]]
 EDGE = 0.04  # share of the record at each end in which no step can be told from the start
 
 
@@ -38,31 +45,39 @@ def family_test(
     projection: Projection,
 ) -> Test | None:
     """The test of a timed effect over its whole grid; None where it leaves no footprint."""
-    b, e = _driver(effect, model, theta, series, path)
     root, _, _, z = whitened(path, series)
     turned, (T, ny) = np.swapaxes(root, -1, -2), z.shape
     degrees = 2 if effect.traits.course is Course.HARMONIC else 1
 
-    def shown(gate: Array) -> Array:
+    def shown(driver: Driver, gate: Array) -> Array:
         """What the driver leaves in the whitened predictions (n, T, ny), for factors (T, n) in time."""
-        g = footprints(path.F, path.H, path.K, b, e, np.ascontiguousarray(gate))
+        g = footprints(path.F, path.H, path.K, *driver, np.ascontiguousarray(gate))
         return np.asarray(np.swapaxes(np.nan_to_num(g) @ turned, 0, 1))
 
-    def tested(at: Sequence[tuple[float, ...]], gate: Array) -> Test | None:
-        def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
-            G = shown(gate[:, start : start + CHUNK])
+    def chunks(driver: Driver, at: Sequence[tuple[float, ...]], gate: Array) -> Iterator[Chunk]:
+        for start in range(0, gate.shape[1], CHUNK):
+            G = shown(driver, gate[:, start : start + CHUNK])
             s = (G * z).sum(axis=2)
             v = np.zeros((len(G), T * ny * (1 + ny)))
             v[:, : T * ny] = -G.reshape(len(v), -1)
-            return [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
-
-        starts = range(0, gate.shape[1], CHUNK)
-        return make_test(effect, (chunk(start) for start in starts), projection, degrees)
+            yield [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
 
     if effect.traits.course is Course.EPISODE:
-        return _episode_test(series, pulse_scores(path, series, b, e), shown, tested)
-    at, gate, tries = _gates(effect, model, series, path, b, e)
-    test = tested(at, gate)
+        driver = _driver(effect, model, theta, series, path)
+
+        def tested(at: Sequence[tuple[float, ...]], gate: Array) -> Test | None:
+            return make_test(effect, chunks(driver, at, gate), projection, degrees)
+
+        return _episode_test(
+            series, pulse_scores(path, series, *driver), partial(shown, driver), tested
+        )
+    every, tries = list[Iterator[Chunk]](), 1
+    for probe in effect.probes if effect.traits.of_gain else effect.probes[:1]:
+        one = replace(effect, probes=(probe,))
+        driver = _driver(one, model, theta, series, path)
+        at, gate, tries = _gates(one, model, series, path, *driver)
+        every.append(chunks(driver, at, gate))
+    test = make_test(effect, chain.from_iterable(every), projection, degrees)
     return test if test is None or tries == 1 else test.best_of(tries)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -121,11 +121,10 @@ def refit(
         again = climb(other, target=at_least, hope=HOPE)
         found = max(found, again, key=lambda one: one.log_likelihood)
     found = _at_next_probes(effect, found, climb, target, n)
-    best_elsewhere = None
-    if elsewhere:
-        best_elsewhere, _ = _best_start(
-            extended, series, np.array(elsewhere), null, n, None, visited
-        )
+    best_elsewhere = [
+        _best_start(extended, series, np.array(places), null, n, None, visited)[0]
+        for places in _by_side(effect, elsewhere)
+    ]
     weighed = _weighed(effect, found, zero, series)
     return _complete(weighed, zero, series, best_elsewhere, visited)
 
@@ -182,7 +181,7 @@ def _complete(
     refit: Refit,
     null: float,
     series: Series,
-    elsewhere: Array | None = None,
+    elsewhere: Sequence[Array] = (),
     visited: Visited | None = None,
 ) -> Refit:
     """The refit with what else is known, or may be estimated, of its effect."""
@@ -230,36 +229,45 @@ def _with_shown_size(refit: Refit, null: float, series: Series) -> Refit:
 
 
 def _with_zero(
-    refit: Refit, null: float, series: Series, elsewhere: Array | None, visited: Visited
+    refit: Refit, null: float, series: Series, elsewhere: Sequence[Array], visited: Visited
 ) -> Refit:
     """The refit with the zero of its channel estimated too, where the data tell it.
 
     Nothing says that the zero of a unit is that of the physics, unless the model declares it: drag about
-    20 m/s is not drag. One more parameter counts as any other. ``elsewhere`` (n,) is a theta with a zero from
-    which the screen saw more than from the one that is held. Its search is left where it will not gain what the
-    parameter costs: most records tell of no zero, and each of them would be followed to the last digit.
+    20 m/s is not drag. One more parameter counts as any other. ``elsewhere`` are thetas (n,) with a zero from
+    which the screen saw more than from the one that is held, one on either side. Its search is left where it
+    will not gain what the parameter costs: most records tell of no zero, and each of them would be followed to
+    the last digit.
     """
     effect, known = refit.effect, refit.fit
     if effect.zero not in effect.held:
         return refit
-    if elsewhere is None and (known.given_up or not refit.score > 0.0):
+    if not elsewhere and (known.given_up or not refit.score > 0.0):
         return refit
-    start, freed = known.theta if elsewhere is None else elsewhere, effect.with_free_zero()
-    try:
-        found = quasi_ml(
+    freed = effect.with_free_zero()
+    for start in elsewhere or [np.asarray(known.theta)]:
+        climb = partial(
+            quasi_ml,
             known.model,
             series,
-            start,
-            [*known.free, effect.zero],
+            free=[*known.free, effect.zero],
             tolerance=TOLERANCE,
             target=null + 0.5 * (refit.score + cost(freed, series)),
             hope=HOPE,
-            visited=[visited.copy()],
         )
-    except (EngineError, np.linalg.LinAlgError):
-        return refit
-    again = _weighed(freed, found, null, series)
-    return again if again.score > refit.score else refit
+        try:
+            found = climb(start, visited=[visited.copy()])
+            moved = np.asarray(found.theta)
+            for name in effect.sought:  # from another zero it may have come at another row
+                moved = _best_row(known.model, series, moved, name, effect, visited)
+            if not np.array_equal(moved, found.theta):
+                again = climb(moved, visited=[visited.copy()])
+                found = max(found, again, key=lambda one: one.log_likelihood)
+        except (EngineError, np.linalg.LinAlgError):
+            continue
+        weighed = _weighed(freed, found, null, series)
+        refit = weighed if weighed.score > refit.score else refit
+    return refit
 
 
 def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
@@ -358,6 +366,16 @@ def _from_elsewhere(effect: Effect, start: Array, further: Array | None, n: int)
     if further is not None and effect.from_elsewhere(further[n + 1 :]):
         out.append(further)
     return out
+
+
+def _by_side(effect: Effect, starts: Sequence[Array]) -> list[list[Array]]:
+    """Starts (.,) with the zero below the middle of the record, and those above it, as far as there are some.
+
+    No slope leads from one side to the other.
+    """
+    middle = effect.probes[0][-1] if starts else 0.0
+    sides = ([one for one in starts if (one[-1] > middle) == above] for above in (False, True))
+    return [side for side in sides if side]
 
 
 def _best_start(

@@ -37,10 +37,13 @@ BOILER = engine.MixedModel(
 )
 
 
-def record(heater=0.0, thermometer=0.0, seed=1):
-    """Water by twenty Euler steps a sample; relative changes of the two gains from ``WHEN`` on."""
+def record(heater=0.0, thermometer=0.0, seed=1, most=1.0):
+    """Water by twenty Euler steps a sample; relative changes of the two gains from ``WHEN`` on.
+
+    ``most`` is the power (kW) of the heater.
+    """
     rng = np.random.default_rng(seed)
-    power = np.repeat(rng.choice([0.0, 0.3, 0.6, 1.0], T // 10), 10)
+    power = most * np.repeat(rng.choice([0.0, 0.3, 0.6, 1.0], T // 10), 10)
     ambient = 18.0 + 3.0 * np.sin(0.02 * np.arange(T))
     x, y = 25.0, np.zeros(T)
     for k in range(T):
@@ -70,6 +73,27 @@ def test_a_gain_that_changes_at_a_time_is_named_with_its_size_and_time(gains, na
     assert cause.standard_error < 0.1 * abs(size)
     (when,) = (value for key, value in cause.parameters.items() if key.endswith("_time"))
     assert abs(when - WHEN * DT) <= 3.0 * DT
+
+
+def test_a_gain_counts_from_a_zero_far_below_the_record():
+    """Looked for about the middle of the record it came at another row, beside a step of the reading."""
+    series = record(thermometer=0.06, seed=2, most=0.6)
+    found = diagnose(BOILER, series, effects=["gain-step", "step"], seed=1, held_out=0, processes=1)
+    assert [cause.effect for cause in found.causes] == ["gain-step:thermometer"]
+    (cause,) = found.causes
+    assert abs(cause.size - 0.06) < 3.0 * cause.standard_error < 0.03
+    assert abs(cause.parameters["gain_step_thermometer_time"] - WHEN * DT) <= 3.0 * DT
+    assert abs(cause.parameters["gain_step_thermometer_zero"]) < 10.0  # below 25 to 48 degC
+
+
+def test_a_step_of_the_reading_is_no_gain_that_changes():
+    series = record(most=0.6)
+    y = series.y + 1.5 * (np.arange(T) >= WHEN)[:, None]
+    found = diagnose(
+        BOILER, series.replace(y=y), effects=["gain-step", "step"], held_out=0, processes=1
+    )
+    assert found.verdict.value == "named"
+    assert [cause.effect for cause in found.causes] == ["step:thermometer"]
 
 
 def test_gains_that_stay_are_left_alone():
