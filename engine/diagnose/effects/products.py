@@ -51,6 +51,7 @@ def _product(setting: Setting, channel: str) -> Effect | None:
         extend,
         probes=(tuple(p.default for p in zeros),),
         held=tuple(p.name for p in zeros),
+        zero=zeros[-1].name if zeros else None,  # of an input, where it is one of the two
         look_alikes={
             "coupling": "does not depend on the other signal",
             "quadratic": "depends on one signal only",

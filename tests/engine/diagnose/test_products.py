@@ -145,6 +145,23 @@ def test_the_zeros_of_a_product_stay_where_they_are():
     assert "(air - product_air_fan_air_zero_air)" in effect.equation
 
 
+def test_what_is_converted_above_a_least_concentration_is_one_product():
+    """About 0 of the unit it was a product and a coupling."""
+    name, least = "product:enzyme*substrate->substrate", 0.6
+    size, zero = (f"product_enzyme_substrate_substrate{end}" for end in ("", "_zero_substrate"))
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(0.2, 1.5, (T // 20, 2)), 20, axis=0)
+    true = extend(TUBE, [name])
+    series = engine.simulate(true, {size: -0.3, zero: least}, T, rng, u=u, dt=DT).series
+    found = diagnose(
+        TUBE, series, effects=["product", "coupling", "force"], held_out=0, processes=1
+    )
+    (cause,) = found.causes
+    assert cause.effect == name
+    assert abs(cause.size + 0.3) < 3.0 * cause.standard_error
+    assert cause.parameters[zero] == pytest.approx(least, abs=0.15)
+
+
 @pytest.mark.parametrize(
     ("asked", "named"),
     [("fan*room->air", "fan*room->air"), ("fan*air->air", "air*fan->air")],
