@@ -54,6 +54,9 @@ def _static(
             what = f"distance of {source} from its zero at which it bends"
             parameters.append(Parameter(f"{name}_width", start, unit, bounds, what))
             widths = [(setting.distance(source, level),) for level in WIDTHS]
+        # of a parabola the record may show one branch; beyond the record x|x| is the same
+        afar = power > 1.0 and traits is STIFFNESS
+        counted = origin.proportional if afar else partial(origin.counted, probes=widths)
 
         def extend(model: MixedModel) -> MixedModel:
             def sized(x: Any, own: Sequence[Any]) -> Any:
@@ -75,7 +78,7 @@ def _static(
             extend=extend,
             look_alikes=look_alikes,
             traits=traits,
-            **origin.counted(*parameters, probes=widths),
+            **counted(*parameters),
         )
 
     return at_pairs(kind, make, each_pair)

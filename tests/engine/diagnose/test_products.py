@@ -139,6 +139,23 @@ def test_a_model_made_again_by_name_counts_from_where_the_parameters_say():
     assert (steps[0] - without)[0, 0] == pytest.approx(0.02 * 5.0 * 3.0)
 
 
+def test_a_bent_loss_of_which_the_record_shows_one_branch_is_no_product():
+    """Looked for about the middle of the record it was a straight loss, or a product, and a bent one."""
+    rng = np.random.default_rng(3)
+    swings = 18.0 + 4.0 * np.sin(0.05 * np.arange(300))
+    u = np.column_stack([np.repeat(rng.uniform(0.0, 4.0, 30), 10), swings])
+    bent = extend(DRYER, ["quadratic:air"])
+    sizes = {"quadratic_air": -0.002, "quadratic_air_zero": 0.0}
+    series = engine.simulate(bent, sizes, 300, rng, u=u, dt=1.0).series
+    assert series.y.min() > 10.0
+    kinds = ["quadratic", "product", "linear", "extra-input"]
+    found = diagnose(DRYER, series, effects=kinds, held_out=0, processes=1)
+    assert [cause.effect for cause in found.causes] == ["quadratic:air"]
+    (cause,) = found.causes
+    assert abs(cause.size + 0.002) < 3.0 * cause.standard_error
+    assert abs(cause.parameters["quadratic_air_zero"]) < 5.0
+
+
 def test_the_zeros_of_a_product_stay_where_they_are():
     effect = make_effect(WITH_FAN, Setting(DRYER))
     assert effect.held == ("product_air_fan_air_zero_air", "product_air_fan_air_zero_fan")
