@@ -8,6 +8,8 @@ import pytest
 import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.records import Records
+from engine.diagnose.search.substeps import prepare, undeclared
 
 T, DT, FINE = 400, 0.2, 20
 
@@ -202,3 +204,20 @@ def test_a_channel_may_have_the_sign_of_a_product_in_its_name():
     model = replace(DRYER, inputs={"fan*2": "kW", "room": "degC"})
     names = [e.name for e in all_effects(Setting(model), ["product"])]
     assert "product:air*fan*2->air" in names
+
+
+@pytest.mark.long
+def test_a_model_that_may_be_stepped_more_finely_and_does_not_say_so_is_told():
+    """With its step declared the rate is right however strong: the step's error had names of its own."""
+    strong = record(0.15)
+    (note,) = prepare(TUBE, Records(strong), lambda: np.asarray(TUBE.theta())).notes
+    assert "continuous=True" in note
+    steps = engine.get_model("linear-2")
+    assert undeclared(steps, engine.simulate(steps, None, 60, 1).series) == ""
+    declared = replace(TUBE, continuous=True)
+    found = diagnose(
+        declared, strong, effects=["product", "linear"], seed=1, held_out=0, processes=1
+    )
+    (cause,) = found.causes
+    assert cause.size == pytest.approx(-0.15, abs=3.0 * cause.standard_error)
+    assert not any("continuous=True" in note for note in found.notes)
