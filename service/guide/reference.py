@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from html import escape
 from typing import Any
 
@@ -20,6 +21,7 @@ from engine.words import tidy
 WIDTH, HEIGHT, POINTS = 150, 60, 121
 # models whose channels show kinds that a single state cannot
 SHIPPED = ("oscillator", "servo", "tanks")
+DRIFTS = ("drift", "ramp", "parameter-drift")
 
 
 def effects() -> str:
@@ -32,7 +34,10 @@ def catalogue() -> list[tuple[Effect, MixedModel]]:
     """Each kind once, with the model that it enters."""
     found: dict[str, tuple[Effect, MixedModel]] = {}
     for model in (_single(), *map(get_model, SHIPPED)):
-        for one in all_effects(Setting(model, span=(0.0, 10.0), dt=0.1)):
+        setting = Setting(model, span=(0.0, 10.0), dt=0.1)
+        # those that are looked for beside a drift, too
+        drifts = tuple(p.name for e in all_effects(setting, DRIFTS) for p in e.parameters)
+        for one in all_effects(replace(setting, found=drifts)):
             found.setdefault(one.kind, (one, model))
     return [found[kind] for kind in sorted(found)]
 

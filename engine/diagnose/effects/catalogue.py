@@ -11,6 +11,8 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from engine.diagnose.effects.bend import KINDS as BEND
+from engine.diagnose.effects.bend import straight_of
 from engine.diagnose.effects.cogging import KINDS as COGGING
 from engine.diagnose.effects.colored import KINDS as COLORED
 from engine.diagnose.effects.delays import KINDS as LATE
@@ -59,6 +61,7 @@ SHIPPED: tuple[Kind, ...] = (
     *INPUT_FRICTION,
     *PATHS,
     *TIME,
+    *BEND,
     *GAIN_STEPS,
     *TIME_STEP,
     *FIRST_STATE,
@@ -162,7 +165,8 @@ def _every(setting: Setting, kinds: Sequence[str] | None) -> Iterator[Effect]:
         if kind in COUNTING and not setting.tells_samples:
             continue
         for channel in dict.fromkeys([*channels(setting), *_channels_named(kind, kinds)]):
-            if kinds is not None and kind not in kinds and f"{kind}:{channel}" not in kinds:
+            asked = {kind, f"{kind}:{channel}", *straight_of(kind, channel)}
+            if kinds is not None and asked.isdisjoint(kinds):
                 continue
             if not scales.isdisjoint(re.split(r"->|,|\*", channel)):
                 continue

@@ -61,7 +61,8 @@ class Setting:
     model makes from one sample to the next; ``hold`` what the series says of its inputs between samples;
     ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count; ``regular``
     whether samples are at one common step; ``later`` the times at which further records begin, where the times
-    of several tell them apart; ``starts`` those from which what begins with a record counts.
+    of several tell them apart; ``starts`` those from which what begins with a record counts; ``found`` the
+    parameters of the effects that a search has added to the model so far.
     """
 
     model: MixedModel
@@ -80,6 +81,7 @@ class Setting:
     regular: bool = True
     later: tuple[float, ...] = ()
     starts: tuple[float, ...] = ()
+    found: tuple[str, ...] = ()
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -175,6 +177,13 @@ class Setting:
         low, high = float(values.min()), float(values.max())
         ways = np.multiply(ZEROS_OUTSIDE, max(high - low, self.size(channel)))
         return tuple(place for way in ways.tolist() for place in (low - way, high + way))
+
+    def beside(self, model: MixedModel) -> Setting:
+        """The same beside what ``model`` has more than the one for which effects are made."""
+        found = tuple(
+            name for name in model.parameter_names if name not in self.model.parameter_names
+        )
+        return self if found == self.found else replace(self, found=found)
 
     def keeping_zeros(self) -> Setting:
         """The same for models that effects extend: what an effect adds moves no zero."""

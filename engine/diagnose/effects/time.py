@@ -144,47 +144,62 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
+def over_the_record(name: str, setting: Setting) -> list[Parameter]:
+    """Where the middle of the longest record is, and how long it is: what a drift counts from, and per."""
+    first, last = setting.run
+    length = max(min(setting.length, last - first), setting.dt)
+    return [
+        setting.time(f"{name}_middle", 0.5 * (first + last), what="where it is zero"),
+        setting.time(f"{name}_per", length, SOME_TIME, "to which the size refers"),
+    ]
+
+
+def running_parameter(
+    setting: Setting,
+    channel: str,
+    course: Callable[[Any, Sequence[Any]], Any],
+    within_steps: bool,
+) -> Callable[[MixedModel], MixedModel]:
+    """What adds ``course(t, own parameters)`` to a parameter of a model, within the parameter's bounds.
+
+    Where it runs ``within_steps``, differential equations have its mean over the step: that of its middle.
+    """
+    index = setting.model.parameter_names.index(channel)
+    bounds = setting.model.parameters[index].bounds
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+
+        def at(t: Any, theta: Any) -> Any:
+            base, own = split(theta)
+            value = np.clip(base[index] + course(t, own), *bounds)
+            return base._replace(**{channel: value})
+
+        later = 0.5 if model.continuous and within_steps else 0.0
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            return model.transition(a, u, t, dt, at(t + later * dt if later else t, theta))
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            return model.observation(a, u, t, at(t, theta))
+
+        return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+    return extend
+
+
 def _parameter_change(kind: str, title: str) -> Kind:
     """A parameter that steps at a time, or drifts linearly through the record."""
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
-        index = setting.model.parameter_names.index(channel)
-        first, last = setting.span
-        parameter = setting.model.parameters[index]
+        unit = setting.model.parameters[setting.model.parameter_names.index(channel)].unit
         steps = kind == "parameter-step"
-        further = from_when(name, setting)
-        if not steps:
-            first, last = setting.run
-            length = max(min(setting.length, last - first), setting.dt)
-            middle = 0.5 * (first + last)
-            further = [
-                setting.time(f"{name}_middle", middle, what="where it is zero"),
-                setting.time(f"{name}_per", length, SOME_TIME, "to which the size refers"),
-            ]
+        further = from_when(name, setting) if steps else over_the_record(name, setting)
 
         def course(t: Any, own: Sequence[Any]) -> Any:
             if steps:
                 return own[0] * since(t, own[1:], setting.later)
             return own[0] * ((setting.anew(t) - own[1]) / own[2])
-
-        def extend(model: MixedModel) -> MixedModel:
-            split = Split(model)
-
-            def at(t: Any, theta: Any) -> Any:
-                base, own = split(theta)
-                value = np.clip(base[index] + course(t, own), *parameter.bounds)
-                return base._replace(**{channel: value})
-
-            # differential equations have the mean of a drift over the step, which is that of its middle
-            later = 0.5 if model.continuous and not steps else 0.0
-
-            def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-                return model.transition(a, u, t, dt, at(t + later * dt if later else t, theta))
-
-            def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-                return model.observation(a, u, t, at(t, theta))
-
-            return on_base(model, split, dynamics=dynamics, measurement=measurement)
 
         return Effect(
             kind,
@@ -197,8 +212,8 @@ def _parameter_change(kind: str, title: str) -> Kind:
                 if steps
                 else f"(t - {name}_middle) / {name}_per{setting.counted}"
             ),
-            (Parameter(name, 0.0, parameter.unit, description=title), *further),
-            extend,
+            (Parameter(name, 0.0, unit, description=title), *further),
+            running_parameter(setting, channel, course, within_steps=not steps),
             probes=(tuple(p.default for p in further),),
             held=tuple(p.name for p in further[steps:]),
             look_alikes={

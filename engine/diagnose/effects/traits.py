@@ -14,7 +14,7 @@ class Course(Enum):
     The effect's second parameter is the time of a ``STEP`` or ``PULSE``, of an ``EPISODE`` the time at which it
     begins and the third the one at which it is over; a ``HARMONIC`` has the amplitude of
     the sine and the frequency, a ``DRIFT`` the time where it is zero and the one to which its size refers,
-    counted anew in each record.
+    counted anew in each record, and a ``BEND`` how sharp it is, then the same two.
     """
 
     STEP = "step"
@@ -22,6 +22,7 @@ class Course(Enum):
     EPISODE = "episode"
     HARMONIC = "harmonic"
     DRIFT = "drift"
+    BEND = "bend"
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class Traits:
     parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
     ``foreseen``: between which values its size is if it is the cause, where that is known before it is fitted.
     ``whole``: it is a delay whose size is the mean, and all of it, where it is there, is so late; its second
-    parameter says how late its latest part is.
+    parameter says how late its latest part is. ``bends``: it is looked for beside a drift that was found, which
+    is straight, and both are one cause.
     """
 
     course: Course | None = None
@@ -56,6 +58,7 @@ class Traits:
     of_record: bool = False
     foreseen: tuple[float, float] | None = None
     whole: bool = False
+    bends: bool = False
 
     @property
     def alters(self) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 
 from engine.data.joined import anew, apart, starts_of
 from engine.data.series import Series
+from engine.diagnose.effects.bend import bend
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
@@ -157,6 +158,10 @@ def _gates(
     if effect.traits.course is Course.DRIFT:
         middle, per = effect.probes[0]
         return [(middle, per)], (anew(t, starts_of(apart(series))) - middle) / per, 1
+    if effect.traits.course is Course.BEND:
+        middle, per = effect.probes[0][1:]
+        run = (anew(t, starts_of(apart(series))) - middle) / per
+        return list(effect.probes), bend(run, np.array([k for k, *_ in effect.probes])), 1
     if effect.traits.course is Course.PULSE:
         scores, information = (
             np.add.reduceat(x, series.samples)  # a pulse lasts a sample

@@ -73,7 +73,8 @@ def look_back(
             led = 2.0 * (final.log_likelihood - without.log_likelihood)
             # of several searches with this beginning each looks back beside what it found
             beside = here.further(without.model.name)
-            seen = beside.screen(all_effects(setting), partial(screened, without))
+            there = all_effects(setting.beside(without.model))
+            seen = beside.screen(there, partial(screened, without))
             rivals += _newcomers(seen, known, led, without.theta.asdict())
         again = []  # without outliers: they were no choice, and this filter does not see them
         for j, (effect, own) in enumerate(rivals, 1):

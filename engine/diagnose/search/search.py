@@ -154,6 +154,7 @@ def _one_after_the_other(  # noqa: PLR0913
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
         here = kept.within(f"round {k + 1}")
+        setting = setting.beside(fit.model)
         question = Question(fit, series, setting, kinds)
         screened = partial(_screened, series, setting, level, seed + k, taken)
         progress("screen", 0.0)
@@ -228,6 +229,7 @@ def _one_after_the_other(  # noqa: PLR0913
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
     begun = rounds[0] if rounds[0].equivalent else None
     named = [found for found in rounds if found.equivalent]
+    setting = setting.beside(fit.model)
     if tails is None and len(named) > 1 and not explained:  # that would be by the longer steps
         among = part_of(progress, 0.0, LOOKED_BACK)
         anew = partial(_screened, series, setting, LATER * alpha, seed, None, silent, kinds=kinds)
@@ -260,7 +262,8 @@ def _screened(
     kinds: Sequence[str] | None,
 ) -> Screen:
     """What of these ``kinds`` is seen at a fit."""
-    return screen_effects(fit, series, setting, kinds, alpha, seed, progress, outliers)
+    beside = setting.beside(fit.model)
+    return screen_effects(fit, series, beside, kinds, alpha, seed, progress, outliers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,7 +123,8 @@ def patchwork(search: Search, alpha: float) -> str:
     noise. Outliers, which hide others, count in the last rule only.
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
-    effects = [effect for effect in found if not effect.traits.outliers]
+    # a drift and its bend are one
+    effects = [e for e in found if not (e.traits.outliers or e.traits.bends)]
     noises = [effect.name for effect in effects if effect.family == "noise"]
     if len(effects) > PATCHES:
         return f"more than {PATCHES} effects are needed"

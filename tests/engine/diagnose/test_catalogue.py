@@ -38,6 +38,7 @@ from tests.engine.hidden_effects import (
 )
 
 BY_NAME_ONLY = {"offset", "held"}  # another word for bias; for parameters that are not estimated
+BESIDE_DRIFTS = {"bend", "parameter-bend"}  # looked for where a drift was found
 QUICK = {  # one of each way to enter a model, and what test_diagnose has not; make test-all has all
     "force", "mode", "bias", "quantisation", "variance", "colored", "input-offset", "extra-input",
     "parameter-step",
@@ -57,6 +58,7 @@ def mixed_case():
         dt=DT,
         extra=("temperature",),
         resolution={"reading": 0.1},
+        found=("drift_reading", "parameter_drift_damping"),
     )
     rng = np.random.default_rng(2)
     u = np.column_stack([smooth(rng, 50), rng.standard_normal(50)])
@@ -149,7 +151,7 @@ def explains(found):
 
 def sought(quick=()):
     """The kinds that are looked for."""
-    kinds = sorted(set(CASES) - BY_NAME_ONLY - SEVERAL_MASSES - {"latent"})
+    kinds = sorted(set(CASES) - BY_NAME_ONLY - BESIDE_DRIFTS - SEVERAL_MASSES - {"latent"})
     return [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in quick)) for kind in kinds]
 
 

@@ -177,11 +177,23 @@ def test_the_model_is_driven_by_the_input_that_comes_through(name, own, seen):
         same(step(model, u=u, theta=THETA + own), step(DRIVE, u=seen(u)))
 
 
+def off_the_line(s, sharpness):
+    """How far exp(-sharpness s) is from the line through its values at -1/2 and 1/2, over that at 0."""
+    course = lambda s: np.exp(-sharpness * s)  # noqa: E731
+    line = lambda s: course(-0.5) + (s + 0.5) * (course(0.5) - course(-0.5))  # noqa: E731
+    return (line(s) - course(s)) / (line(0.0) - course(0.0))
+
+
 @pytest.mark.parametrize(
     ("name", "own", "damping"),
     [
         ("parameter-step:damping", [0.5, 2.5], lambda t: 1.0 + 0.5 * (t >= 2.5)),
         ("parameter-drift:damping", [0.5, 2.0, 4.0], lambda t: 1.0 + 0.5 * (t - 2.0) / 4.0),
+        (
+            "parameter-bend:damping",
+            [0.5, 1.5, 2.0, 4.0],
+            lambda t: 1.0 + 0.5 * off_the_line(0.25 * (t - 2.0), 1.5),
+        ),
         ("parameter-step:damping", [-1.5, 2.5], lambda t: 1.0 * (t < 2.5)),  # not below its bound
     ],
 )
