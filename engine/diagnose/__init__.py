@@ -53,6 +53,8 @@ from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
+from engine.diagnose.search.judgement import has_tails
+from engine.diagnose.search.own_steps import about_own_steps
 from engine.diagnose.search.pipeline import FIRST_FIT_SHARE, Callback, Clock, fit_base
 from engine.diagnose.search.substeps import is_enough, prepare
 from engine.diagnose.search.unsearched import begins_unsearched
@@ -62,6 +64,7 @@ from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptom
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, check_count
 from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
+from engine.estimation.quasi_ml import QuasiFit
 from engine.forked import in_processes
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
@@ -300,6 +303,9 @@ def diagnose(  # noqa: PLR0913
     if fine.finer and not judged.causes:
         too_long = about_predictions(model, np.asarray(judged.before.theta), [shown])
         notes.extend([f"{too_long} {FOR_ESTIMATES}"] if too_long else [])
+    fitted_last = judged.after if judged.causes else causes.base
+    if isinstance(fitted_last, QuasiFit) and not (judged.causes and has_tails(judged.search)):
+        notes.extend(filter(None, [about_own_steps(fitted_last, searched, causes.setting)]))
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
     clock.start("symptoms")
     symptoms = find_symptoms(
