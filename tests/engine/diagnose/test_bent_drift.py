@@ -29,14 +29,14 @@ VESSEL = engine.continuous(
 N, DT, LEFT = 500, 0.5, 0.6  # of the coefficient at the end
 
 
-def fouled(seed=1):
+def fouled(seed=1, left=LEFT):
     """A coefficient that decays exponentially, by exact steps that are fine beside it."""
     rng = np.random.default_rng(seed)
     around = np.repeat(rng.uniform(10.0, 60.0, N // 20), 20)
     heat = np.repeat(rng.uniform(0.0, 5.0, N // 25), 25)
     x = [20.0]
     for i in range(N - 1):
-        U = 0.2 * LEFT ** ((i + 0.5) / N)
+        U = 0.2 * left ** ((i + 0.5) / N)
         rest = around[i] + 1.5 * heat[i] / U
         x.append(rest + (x[-1] - rest) * np.exp(-U * DT))
     y = np.array(x) + 0.1 * rng.standard_normal(N)
@@ -69,9 +69,10 @@ def test_bends_are_looked_for_beside_the_drift_that_was_found():
     assert bends(replace(plain, found=("parameter_drift_g",))) == ["parameter-bend:g"]
 
 
+@pytest.mark.long
 def test_a_coefficient_that_decays_has_a_drift_that_bends_and_no_other_cause():
-    """What bends was a step of another parameter or a slow wave, adopted; or nothing had a name."""
-    kinds = ["parameter-drift", "parameter-step", "step", "harmonic:T"]
+    """What bends was a slow wave of a force, adopted, and of other records a step of another parameter."""
+    kinds = ["parameter-drift", "harmonic:T"]
     found = diagnose(VESSEL, fouled(), effects=kinds, seed=1, processes=1)
     assert found.verdict.value == "named"
     assert [cause.effect for cause in found.causes] == ["parameter-drift:U", "parameter-bend:U"]
@@ -80,3 +81,21 @@ def test_a_coefficient_that_decays_has_a_drift_that_bends_and_no_other_cause():
     drift, bent = found.causes
     assert drift.size == pytest.approx(ends[1] - ends[0], abs=4.0 * drift.standard_error + 1e-3)
     assert bent.size == pytest.approx(middle - ends.mean(), abs=4.0 * bent.standard_error)
+
+
+@pytest.mark.long
+def test_a_sensor_that_drifts_less_and_less_bends_and_the_vessel_is_left_alone():
+    """It was a drift, and beside it a set of steps of other places."""
+    clean = fouled(left=1.0)
+    later = engine.Series(
+        clean.y + 1.5 * (1.0 - np.exp(-clean.t / 150.0))[:, None],
+        u=clean.u,
+        dt=DT,
+        time_unit="min",
+    )
+    kinds = ["drift", "step"]
+    found = diagnose(VESSEL, later, effects=kinds, seed=1, processes=1)
+    assert found.verdict.value == "named"
+    assert [cause.effect for cause in found.causes] == ["drift:y", "bend:y"]
+    bent = found.causes[1]
+    assert bent.size == pytest.approx(0.177, abs=4.0 * bent.standard_error)

@@ -73,6 +73,7 @@ def test_errors_larger_than_what_the_steps_change_need_no_word():
     assert note(EULER, record(noise=900.0))[1] == ""
 
 
+@pytest.mark.long
 def test_the_page_says_so_with_and_without_a_cause():
     series = record()
     found = engine.diagnose(EULER, series, effects=["bias"], processes=1)
