@@ -166,26 +166,35 @@ class Diagnosis(Shown):
 
     @cached_property
     def stopped(self) -> tuple[str, ...]:
-        """Sentences on parameters of the model as given, but those of its noise, that a bound has stopped."""
+        """Sentences on parameters of the model as given, but those of its noise, that a bound has stopped.
+
+        Before anything was added, or with what was found: that may say again what the parameter has said.
+        """
         fit = self.before
-        stopped = {*fit.model.at_bounds(fit.theta, fit.free)} if self.causes else set()
-        if stopped:
+        before = {*fit.model.at_bounds(fit.theta, fit.free)} if self.causes else set()
+        still = {*self.extended.at_bounds(self.theta, fit.free)} if self.causes else set()
+        noise = set[str]()
+        if before | still:
             with suppress(EngineError, np.linalg.LinAlgError):
-                noise = noise_of(fit, self.series)
-                stopped -= {name for name, yes in zip(fit.free, noise, strict=True) if yes}
-        still = self.extended.at_bounds(self.theta, fit.free)
+                of_noise = noise_of(fit, self.series)
+                noise = {name for name, yes in zip(fit.free, of_noise, strict=True) if yes}
         units = {p.name: p.unit for p in fit.model.parameters}
 
         def said(name: str) -> str:
             at, then = (
                 with_unit(float(theta[name]), units[name]) for theta in (fit.theta, self.theta)
             )
+            if name not in before:
+                return (
+                    f"With what was found, {name} is stopped by its bound, {then}, where it was {at}: what was "
+                    "found may say again what it said, and its size then depends on that bound."
+                )
             text = f"Before anything was added, {name} was stopped by its bound, {at}: "
             if name in still:
                 return f"{text}what was found may only make up for that."
             return f"{text}what was found makes up for that, or drove it there. With it, {name} is {then}."
 
-        return tuple(said(name) for name in fit.free if name in stopped)
+        return tuple(said(name) for name in fit.free if name in (before | still) - noise)
 
     @property
     def trusted(self) -> bool:

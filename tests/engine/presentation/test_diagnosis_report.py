@@ -227,6 +227,14 @@ def test_a_bound_that_stopped_the_model_is_said_at_the_top(found):
     assert not at_its_bound(LEVEL, level).stopped
 
 
+def test_a_bound_that_stops_the_model_only_with_what_was_found_is_said_too(found):
+    """A lag went from 0.22 s to its bound, 0.01 s, beside a saturation that said the lag again, named."""
+    there = found.extended.theta({**found.theta.asdict(), "theta": -2.0})
+    one = replace(found, theta=there)
+    assert one.stopped[0].startswith("With what was found, theta is stopped by its bound, -2,")
+    assert "is stopped by its bound" in str(one).partition("1. What")[0]
+
+
 def test_the_reason_names_what_decided():
     def said(p_gain, log_density, outputs):
         p_loss = 1.0 - p_gain
