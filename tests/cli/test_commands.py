@@ -155,6 +155,7 @@ def test_a_model_of_a_users_package(tmp_path):
 # ---- fit --------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_fit_gives_the_engines_numbers(rbps, flows):
     result = rbps("fit", flows, "-m", "local-level", "--set", "q=5000", "--free", "q,r", "--seed", 3,
                   "--fix", "level=1100", *QUICK, "--json")  # fmt: skip
@@ -256,6 +257,7 @@ def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.long
 def test_more_iterations_after_they_were_used_up(rbps, flows, tmp_path):
     exact = ("-m", "local-level", "--method", "rts-em", "--set", "q=50")
     options = (flows, *exact, "--no-standard-errors", "--json")

@@ -48,6 +48,7 @@ def test_convergence_shows_every_free_parameter(estimate):
     assert np.array_equal(drawn["log-likelihood"][1:], estimate.log_likelihood)
 
 
+@pytest.mark.long
 def test_convergence_with_intervals(estimate):
     intervals = np.array([[1000.0, 2000.0], [np.nan, np.nan], [1.0, 2.0]])
     panels = estimate.plot(intervals)["convergence"].axes
@@ -101,6 +102,7 @@ def test_save_writes_both_formats(estimate, tmp_path):
         estimate.plot().save(tmp_path, ["gif"])
 
 
+@pytest.mark.long
 def test_long_curves_are_pixels_within_an_svg(tmp_path):
     n = 4 * plots.MANY_POINTS
     t, x = np.arange(n) * 1.0, np.random.default_rng(0).standard_normal((n, 1))

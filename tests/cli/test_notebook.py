@@ -95,6 +95,7 @@ def cell():
         del namespace[name]
 
 
+@pytest.mark.long
 def test_a_model_in_a_cell_needs_no_registration(cell):
     assert cell["mine"].dynamics.__module__ == "__main__"
     assert "mine" not in engine.model_names()

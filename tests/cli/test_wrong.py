@@ -206,6 +206,7 @@ def test_a_folder_that_cannot_be_written_into_is_refused_before_the_work(rbps, f
         assert re.search(r"--state flows.*\.state: nothing can be written into", told.stderr)
 
 
+@pytest.mark.long
 def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, monkeypatch):
     def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -237,6 +238,7 @@ def test_the_share_that_is_held_out_is_asked_for(rbps, folder, monkeypatch):
     assert "asked with 0.2" in rbps("diagnose", "flows.csv", *LEVEL).stderr
 
 
+@pytest.mark.long
 def test_an_estimation_whose_report_cannot_be_written_is_not_lost(rbps, folder, monkeypatch):
     def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")

@@ -268,6 +268,7 @@ def test_another_file_is_refused(tmp_path, text):
         engine.save(SERIES, tmp_path / "other.json")
 
 
+@pytest.mark.long
 def test_a_diagnosis_of_several_records(tmp_path):
     model, rng = engine.get_model("linear-2"), np.random.default_rng(0)
     runs = [engine.simulate(model, None, n, rng).series for n in (120, 60, 60)]

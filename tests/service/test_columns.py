@@ -180,6 +180,7 @@ def test_an_upload_takes_no_temperature_for_times(client):
     client.delete(answer.headers["location"])
 
 
+@pytest.mark.long
 def test_what_an_upload_assumes_is_told(client, ended):
     stamps = [f"2024-03-01 00:00:0{k}.5" for k in range(9)]
     rows = "".join(f"{one},{k % 3},1,{one}\n" for k, one in enumerate(stamps))

@@ -33,6 +33,7 @@ def ends(connection):
     return True
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sent", ["nothing", "half of the headers"])
 def test_a_connection_without_a_request_is_closed(make_client, sent):
     client = make_client(header_seconds=0.2)

@@ -59,6 +59,7 @@ def test_every_page_is_served_and_every_link_of_it_leads_somewhere(client):
     assert (missing.status_code, missing.json()["title"]) == (404, "no such page")
 
 
+@pytest.mark.long
 def test_the_catalogue_holds_every_kind_and_most_have_a_picture():
     kinds = {one.kind for one, _ in catalogue()}
     assert len(kinds) > 0.8 * len(effect_kinds())

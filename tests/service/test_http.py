@@ -430,6 +430,7 @@ def test_readyz_tells_the_truth(make_client):
     assert client.get("/livez").status_code == 200
 
 
+@pytest.mark.long
 def test_drain_on_shutdown(make_client, estimation, wait):
     client = make_client(drain=True, workers=1)
     url = client.post("/jobs", json=estimation(iterations=40)).headers["location"]

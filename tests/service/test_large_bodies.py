@@ -40,6 +40,7 @@ def keyed(make_client, tmp_path):
     return make_client(keys_file=tmp_path / "keys")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", [b"/jobs", b"/jobs/upload", b"/preview", b"/models/extend"])
 @pytest.mark.parametrize("key", [b"", b"X-API-Key: another\r\n"])
 def test_who_has_no_key_is_told_so_before_the_body_is_sent(keyed, path, key):

@@ -52,6 +52,7 @@ def listed(store):
     return store
 
 
+@pytest.mark.long
 def test_filters(listed):
     def found(**which):
         return names(listed, Which(**which))

@@ -59,6 +59,7 @@ def test_data_go_after_their_time(store):
     assert store.counts() == {"successful": 1, "failed": 1, "dismissed": 1, "accepted": 1}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("days", [0.0, 1e6])
 def test_nothing_goes_before(store, days):
     made = ended(store)

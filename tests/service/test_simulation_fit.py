@@ -22,6 +22,7 @@ def request_():
     }
 
 
+@pytest.mark.long
 def test_a_fit_of_the_simulation(client, ended, request_):
     truth, request = request_
     url = client.post("/jobs", json=request).headers["location"]

@@ -17,6 +17,7 @@ from service.store import Store
 from service.validation import load
 
 
+@pytest.mark.long
 def test_an_attempt_that_lost_its_task_cannot_write(store):
     job_id = store.create("estimate", "linear-2", {}, 10)
     first = store.claim("one")

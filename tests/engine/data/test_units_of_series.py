@@ -195,6 +195,7 @@ def test_the_unit_of_time_changes_printed_units_and_no_number(found):
     assert by_year["extension"]["model"]["setting"]["time_unit"] == "year"
 
 
+@pytest.mark.long
 def test_a_diagnosis_in_years_speaks_of_years(found):
     text = str(found["year"])
     assert "time 1899 year" in text

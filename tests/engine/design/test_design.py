@@ -59,6 +59,7 @@ def test_a_diagnosis_of_the_new_record_ends_in_the_right_name(made):
     assert right >= 9  # of 10; each is missed with a probability below 0.05
 
 
+@pytest.mark.long
 def test_it_does_better_than_a_random_binary_input(made):
     u = np.random.default_rng(2).choice([-6.0, 6.0], size=(1, 200, 1))
     e = Experiments.of(u, 0.1, "zoh", 1)

@@ -145,6 +145,7 @@ def test_what_was_kept_of_another_diagnosis_is_refused(kept):
         assert error.value.field == "kept"
 
 
+@pytest.mark.long
 def test_numbers_of_numpy_ask_for_the_same(kept, parts_of_step):
     diagnose(LEVEL, clear_flows(), **STEP, kept=kept)
     assert kept == json.loads(parts_of_step)

@@ -122,6 +122,7 @@ def test_a_controller_is_no_direct_path(later):
     assert (" closed loop" in " ".join(found.notes)) is not later
 
 
+@pytest.mark.long
 def test_where_nothing_else_is_asked_for_no_cause_is_named():
     found = engine.diagnose(TANK, record(3, closed=True), effects=["direct"])
     assert found.verdict.value == "unknown"

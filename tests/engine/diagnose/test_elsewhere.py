@@ -46,12 +46,14 @@ def test_gains_from_elsewhere_are_those_over_the_same_fit(found):
         assert one.gain == pytest.approx(2.0 * (one.fit.log_likelihood - base), abs=0.1)
 
 
+@pytest.mark.long
 def test_small_effects_bend_nothing(found):
     refits = found.search.rounds[0].refits
     small = [replace(one, gain=0.5 * found.series.n_measured) for one in refits]
     assert not bent(small, found.series)
 
 
+@pytest.mark.long
 def test_what_the_bent_fit_cannot_test_is_found_from_elsewhere(monkeypatch):
     """A noise that went to 0 has no correlation with another, and a refit of one ended the search."""
     setting = Setting(DRIVE)

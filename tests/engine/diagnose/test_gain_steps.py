@@ -75,6 +75,7 @@ def test_a_gain_that_changes_at_a_time_is_named_with_its_size_and_time(gains, na
     assert abs(when - WHEN * DT) <= 3.0 * DT
 
 
+@pytest.mark.long
 def test_a_gain_counts_from_a_zero_far_below_the_record():
     """Looked for about the middle of the record it came at another row, beside a step of the reading."""
     series = record(thermometer=0.06, seed=2, most=0.6)
@@ -86,6 +87,7 @@ def test_a_gain_counts_from_a_zero_far_below_the_record():
     assert abs(cause.parameters["gain_step_thermometer_zero"]) < 10.0  # below 25 to 48 degC
 
 
+@pytest.mark.long
 def test_a_step_of_the_reading_is_no_gain_that_changes():
     series = record(most=0.6)
     y = series.y + 1.5 * (np.arange(T) >= WHEN)[:, None]
@@ -96,6 +98,7 @@ def test_a_step_of_the_reading_is_no_gain_that_changes():
     assert [cause.effect for cause in found.causes] == ["step:thermometer"]
 
 
+@pytest.mark.long
 def test_gains_that_stay_are_left_alone():
     found = diagnose(BOILER, record(), effects=KINDS, seed=1, held_out=0, processes=1)
     assert not found.causes

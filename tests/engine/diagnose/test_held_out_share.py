@@ -62,6 +62,7 @@ def bias():
     return engine.diagnose(DRIVE, series, effects=["bias"], seed=1, held_out=0.0)
 
 
+@pytest.mark.long
 def test_what_is_named_without_held_out_data_has_no_gain_and_says_so(bias, tmp_path):
     assert bias.verdict is Verdict.NAMED
     assert bias.gain is None

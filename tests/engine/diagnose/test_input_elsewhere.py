@@ -1,6 +1,7 @@
 """An input that the model knows may drive a state where no equation says so."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import engine
@@ -56,6 +57,7 @@ def converter_record(drop, seed, T=250, dt=0.05):
     return engine.Series(y, u=duty, dt=dt, time_unit="ms")
 
 
+@pytest.mark.long
 def test_a_drop_that_comes_with_the_duty_is_no_offset_of_a_sensor():
     """A diode's drop acts for the share 1 - duty: it was named a force together with a sensor's offset."""
     found = engine.diagnose(CONVERTER, converter_record(0.7, 1), effects=KINDS, processes=1)
@@ -87,6 +89,7 @@ ROOM = engine.MixedModel(
 )
 
 
+@pytest.mark.long
 def test_a_heater_that_warms_the_wall_too():
     rng = np.random.default_rng(3)
     heater = np.repeat(rng.choice([0.0, 1.0, 2.0], 30), 10)

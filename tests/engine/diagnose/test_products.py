@@ -141,6 +141,7 @@ def test_a_model_made_again_by_name_counts_from_where_the_parameters_say():
     assert (steps[0] - without)[0, 0] == pytest.approx(0.02 * 5.0 * 3.0)
 
 
+@pytest.mark.long
 def test_a_bent_loss_of_which_the_record_shows_one_branch_is_no_product():
     """Looked for about the middle of the record it was a straight loss, or a product, and a bent one."""
     rng = np.random.default_rng(3)
@@ -164,6 +165,7 @@ def test_the_zeros_of_a_product_stay_where_they_are():
     assert "(air - product_air_fan_air_zero_air)" in effect.equation
 
 
+@pytest.mark.long
 def test_what_is_converted_above_a_least_concentration_is_one_product():
     """About 0 of the unit it was a product and a coupling."""
     name, least = "product:enzyme*substrate->substrate", 0.6

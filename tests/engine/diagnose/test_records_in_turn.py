@@ -99,6 +99,7 @@ def test_a_sensor_that_was_off_in_one_of_three_records(found, records):
     assert fitted.theta[name] == pytest.approx(cause.size, abs=cause.standard_error)
 
 
+@pytest.mark.long
 def test_a_job_of_the_extended_model_takes_them_so_too(found, records):
     series = [{"y": one.y.tolist(), "u": one.u.tolist(), "dt": DT} for one in records]
     model = as_dict(found)["extension"]["model"] | {"name": "servo", "with": ["step:y"]}

@@ -251,6 +251,7 @@ def test_a_memory_begins_at_rest_or_anywhere_whichever_explains_more(begins):
     assert named.log_likelihood == pytest.approx(found.fit.log_likelihood, abs=1e-9)
 
 
+@pytest.mark.long
 def test_noise_that_went_to_a_bound_for_want_of_an_effect_comes_back_with_it():
     """The first reading is met exactly where its noise is nothing: a maximum of its own, at the bound."""
     walk = engine.MixedModel(

@@ -178,6 +178,7 @@ def test_what_counts_samples_counts_them_on_a_refined_series_too(own):
     assert values[1] == pytest.approx(values[0], abs=within)
 
 
+@pytest.mark.long
 def test_samples_at_no_common_step_get_several_steps_too():
     """Once they got one each, whose error with inputs on a straight line was named a direct path."""
     series, model = swings(dt=0.5).replace(hold="foh"), engine.get_model("oscillator")
@@ -348,6 +349,7 @@ def slipping(n=200, dt=0.05):
     return model, engine.Series(y, u, dt=dt, hold="foh"), values
 
 
+@pytest.mark.long
 def test_steps_may_be_short_enough_for_a_model_and_too_long_for_what_it_lacks():
     model, series, values = slipping()
     theta = values[: len(model.parameters)]

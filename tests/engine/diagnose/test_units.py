@@ -84,6 +84,7 @@ def test_at_size_zero_every_effect_leaves_the_model_as_it_is(name):
 
 
 # quickly one model in other units and another one from another zero
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [1e-3, pytest.param(1e4, marks=SLOW)])
 @pytest.mark.parametrize(
     "name", [pytest.param("room", marks=SLOW), pytest.param("pendulum", marks=SLOW), "tank"]
@@ -373,6 +374,7 @@ def sprung(rest):
 AT_REST = ("position", "lag_position", "mode_position", "played_laser")  # and what the laser read
 
 
+@pytest.mark.long
 def test_what_an_effect_does_has_nothing_to_do_with_where_linear_states_count_from():
     """Each at a size that counts, in steps that are long beside the motion."""
     force = np.repeat(np.random.default_rng(7).uniform(-1.0, 1.0, 10), 4)

@@ -123,6 +123,7 @@ any_units = st.builds(
 far = example(units=Units(1e9, 273.15e9, 1e-9, 1.0 / 3.15576e7))
 
 
+@pytest.mark.long
 @given(units=any_units)
 @far
 @settings(max_examples=8, deadline=None, derandomize=True)
@@ -173,6 +174,7 @@ def test_the_step_of_a_lattice_is_found_in_any_unit(step, shift):
     assert lattice_step(step * (counts + shift)) == pytest.approx(step, rel=1e-6)
 
 
+@pytest.mark.long
 @given(units=any_units)
 @far
 @settings(max_examples=6, deadline=None, derandomize=True)

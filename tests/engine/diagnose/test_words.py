@@ -452,6 +452,7 @@ def test_parameters_that_a_bound_has_stopped_have_no_standard_error(named):
     assert row.endswith("at bound")
 
 
+@pytest.mark.long
 def test_the_page_of_a_unitless_model_has_no_broken_unit(named):
     text = str(named) + " ".join(re.findall(r">([^<]*)<", report_html(named.to_dict())))
     assert not re.search(r"(?<![\w.)])/s|\(\^|\(\)|\bnan\b|\binf\b", text)

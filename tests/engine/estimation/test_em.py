@@ -157,6 +157,7 @@ def test_only_the_free_parameters_move():
     np.testing.assert_array_equal(nothing.trace, nothing.trace[[0, 0, 0]])
 
 
+@pytest.mark.long
 def test_iterates_keep_to_the_bounds():
     """The data's level is 3; the parameter c may be 1 at most."""
     y = 3.0 + 0.1 * np.random.default_rng(0).standard_normal(30)

@@ -116,6 +116,7 @@ def test_a_variance_without_bounds_ends_at_zero_in_any_units(power):
             assert r * unit**2 == pytest.approx(wanted.theta[1], rel=1e-2)
 
 
+@pytest.mark.long
 def test_neither_do_particles_end_at_a_negative_variance_nor_plain_em():
     model, free = level(1), ["q", "r"]
     options = {"n_particles": 10, "n_iterations": 12, "warm_start": "uphill"}

@@ -126,6 +126,7 @@ def test_their_standard_errors_are_those_of_the_exact_likelihood(case):
     assert errors.settled
 
 
+@pytest.mark.long
 def test_resuming_gives_the_same_bits_and_the_same_words(case):
     model, series, _, _ = case
     options = {"n_particles": 10, "tolerance": None, "seed": 3, "warm_start": False}

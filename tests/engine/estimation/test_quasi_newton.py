@@ -166,6 +166,7 @@ def test_eq_35_is_within_a_nat_after_few_iterations():
     assert 0.5 * d @ np.linalg.solve(errors.covariance, d) < 1.0
 
 
+@pytest.mark.long
 def test_a_model_that_the_moment_filter_cannot_follow_is_estimated_by_em(monkeypatch):
     def lost(*_, **__):
         raise engine.ModelError("cannot be followed")
@@ -182,6 +183,7 @@ def test_a_model_that_the_moment_filter_cannot_follow_is_estimated_by_em(monkeyp
     np.testing.assert_array_equal(again.trace, one.trace)
 
 
+@pytest.mark.long
 def test_what_em_began_can_be_gone_on_with():
     series = simulate(LINEAR, None, 60, np.random.default_rng(3)).series
     begun = rbps_em(LINEAR, series, [0.3], n_particles=10, n_iterations=5, method="em")

@@ -115,6 +115,7 @@ def test_so_has_the_moment_filters_maximum(best):
     assert np.isinf(best.standard_errors).tolist() == [False, True, True, False]
 
 
+@pytest.mark.long
 def test_likelihood_ratio_intervals_are_refused(best):
     with pytest.raises(ModelError, match=SAID):
         engine.likelihood_intervals(PRODUCT, best.theta, SERIES, exact=True)

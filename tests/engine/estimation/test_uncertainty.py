@@ -162,6 +162,7 @@ def test_the_error_of_standard_errors_is_their_spread_over_seeds(many):
     assert 0.4 < spread / stated < 2.0
 
 
+@pytest.mark.long
 def test_standard_errors_are_those_of_the_exact_likelihood(many, best):
     """The Kalman filter's log-likelihood at three points knows its own curvature."""
     found = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
@@ -189,6 +190,7 @@ def asked(monkeypatch):
     return calls
 
 
+@pytest.mark.long
 def test_without_nonlinear_states_nothing_is_drawn():
     """Particles repeated one another there: a converter's errors took 110 s, and take 16."""
     level, series = engine.get_model("local-level"), nile()
@@ -224,6 +226,7 @@ def test_where_it_is_no_guide_differences_alone_count(times, monkeypatch, best):
     np.testing.assert_allclose(found.covariance, alone.covariance, rtol=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("times", [3.0, 20.0])
 def test_one_that_claims_too_much_is_corrected(times, monkeypatch, best):
     own = LikelihoodStep.information
@@ -559,6 +562,7 @@ def test_scores_that_drown_next_to_a_bound_make_no_error_of_it(seed):
     np.testing.assert_allclose(near.values[1], held.values[1], rtol=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("outcome", [Outcome.COLLAPSED, Outcome.DIVERGED, Outcome.WANDERED])
 def test_errors_at_the_end_of_a_lost_estimation_are_said_to_be_none(outcome, best):
     """A score that is zero there made them "settled", and of a lost run c = 0.002 +- 4.5e-07 was printed."""

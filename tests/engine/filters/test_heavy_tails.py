@@ -311,6 +311,7 @@ def test_an_effect_leaves_the_proposal_of_outliers_as_it_is(extend, effects):
     assert own < 2.0 * spread + 0.5
 
 
+@pytest.mark.long
 def test_outliers_of_two_readings_are_drawn_together():
     one = engine.with_mixture(PAIR, channels=["y0"], share_default=0.1, name="a")
     both = engine.with_mixture(one, channels=["y1"], share_default=0.1, name="b")

@@ -175,6 +175,7 @@ def test_the_score_of_a_shift_is_that_of_the_mixture():
     np.testing.assert_allclose(path.S_predicted[:, 0, 0], predicted)
 
 
+@pytest.mark.long
 def test_outliers_of_two_kinds_are_told_by_all_their_combinations():
     one = with_mixture(constant(2), channels=["y0"], share_default=0.2, ratio_default=4.0, name="a")
     both = with_mixture(one, channels=["y1"], share_default=0.1, ratio_default=8.0, name="b")

@@ -202,6 +202,7 @@ def test_what_would_be_adopted_is_not_while_its_cause_is_unknown(found, p_gain, 
     assert gain.adopt  # what held-out data say of it
 
 
+@pytest.mark.long
 def test_a_bound_that_stopped_the_model_is_said_at_the_top(found):
     """Of its noise none is: that may well be zero."""
     assert not found.stopped

@@ -131,6 +131,7 @@ def test_estimate_in_one_file(estimate, tmp_path):
         assert any(figure in label for label in labels), figure
 
 
+@pytest.mark.long
 def test_library_and_service_documents_give_the_same_report(diagnosis, estimate):
     assert report_html({"diagnosis": diagnosis, "message": ""}) == report_html(diagnosis)
     stored = json.loads(json.dumps(estimate.to_dict()))

@@ -36,6 +36,7 @@ def test_of_many_parameters(name, monkeypatch):
     assert_same_runs(taped, by_calls(model, record, series, x1, monkeypatch))
 
 
+@pytest.mark.long
 def test_with_effects(monkeypatch):
     """One of each kind, of a single run."""
     model = pendulum()

@@ -124,6 +124,7 @@ def test_every_entry_to_rounding_in_any_units(system):
         assert (np.abs(ours / unit - right) <= 4e-15 * size).all()
 
 
+@pytest.mark.long
 @given(systems([1.0, 20.0, 60.0]))
 @settings(max_examples=60, deadline=None)
 def test_stiff_systems_in_any_units(system):

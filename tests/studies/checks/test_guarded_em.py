@@ -119,6 +119,7 @@ def replace_y(series, y):
     return replace(series, y=y)
 
 
+@pytest.mark.long
 def test_it_estimates_and_refuses_other_models():
     series = data(100, 10)
     result = guarded_ps_em(MODEL, series, {"theta_2": 0.6}, ["theta_2"], n_iterations=60, seed=1)

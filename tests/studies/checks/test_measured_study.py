@@ -181,6 +181,7 @@ def test_a_term_that_the_model_cannot_take_is_left_out():
     assert said["errors"]["test"] < 0.3 * by_sindy.judge(base, data, 1)["test"]
 
 
+@pytest.mark.long
 def test_terms_count_from_the_zeros_of_the_effects_of_their_names(monkeypatch):
     pytest.importorskip("pysindy")
     model, rows = get_model("servo"), 200

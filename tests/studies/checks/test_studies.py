@@ -375,6 +375,7 @@ def test_standard_errors_report(tmp_path):
     assert [cells[k] for k in (close, symmetric, ratio)] == ["no", "no", "yes"]
 
 
+@pytest.mark.long
 def test_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["no-such-study"])
