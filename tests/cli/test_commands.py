@@ -284,6 +284,7 @@ def test_an_earlier_state_is_kept(rbps, flows, tmp_path):
     assert (tmp_path / ".rbps" / "flows.state~").exists()
 
 
+@pytest.mark.long
 def test_several_files_and_columns_by_name(rbps, mine, tmp_path):
     rng = np.random.default_rng(0)
     model_series = []
@@ -312,6 +313,7 @@ def test_fit_with_an_effect(rbps, flows):
     assert result.json()["estimate"]["step_flow"]["value"] != 0.0
 
 
+@pytest.mark.long
 def test_plain_lines_tell_what_was_read(rbps, flows):
     lines = rbps("fit", flows, "-m", "local-level", *QUICK).stderr.splitlines()
     assert lines[0] == "rbps: flows.csv: 100 samples every 1 s; flow"
@@ -320,6 +322,7 @@ def test_plain_lines_tell_what_was_read(rbps, flows):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("column", "times", "why"),
     [
@@ -489,6 +492,7 @@ def test_simulate_periodic_inputs(rbps, kind, value):
     assert float(rows[1]["u_drive"]) == pytest.approx(value)
 
 
+@pytest.mark.long
 def test_what_is_simulated_can_be_fitted(rbps):
     assert rbps("simulate", "-m", "local-level", "-n", "60", "-o", "run.npz").exit_code == 0
     result = rbps("fit", "run.npz", "-m", "local-level", *QUICK)

@@ -11,6 +11,7 @@ from engine.models.registry import get_model
 from tests.cli.conftest import RBPS
 
 
+@pytest.mark.long
 def test_every_kind_with_equation_units_and_look_alikes(rbps):
     found = {one["name"].partition(":")[0]: one for one in rbps("effects", "--json").json()}
     shipped = [get_model(name) for name in ("servo", "oscillator", "local-level")]

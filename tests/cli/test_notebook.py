@@ -176,6 +176,7 @@ def test_series_with_gaps():
     assert "irregularly" in Checker(engine.Series([1, 2, 3], t=[0, 1, 5])._repr_html_()).text[0]
 
 
+@pytest.mark.long
 def test_figures_show_themselves():
     level = engine.get_model("local-level")
     run = engine.free_run(level, None, nile())

@@ -112,6 +112,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_usage_and_data(case, rbps, folder):
     arguments, message = WRONG[case]
@@ -154,6 +155,7 @@ def test_an_estimation_that_diverges(rbps, folder):
     assert not (folder / ".rbps" / "data.state").exists()
 
 
+@pytest.mark.long
 def test_data_that_changed_since(rbps, folder):
     assert rbps("fit", "flows.csv", *LEVEL, *QUICK).exit_code == 0
     with (folder / "flows.csv").open("a") as stream:

@@ -33,6 +33,7 @@ def same(one, other):
     )
 
 
+@pytest.mark.long
 def test_an_estimate_of_a_registered_model_and_going_on_with_it(level, tmp_path):
     found = engine.load(level.save(tmp_path / "fit.json"))
     same(found, level)

@@ -80,6 +80,7 @@ def test_filters_and_smoothers(name, data):
             assert (off <= 1e-6 * np.abs(expected) + floor).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 @few
 @given(data=st.data())
@@ -108,6 +109,7 @@ def test_moments_and_ekf(name, data):
     assert two.log_likelihood == pytest.approx(one.log_likelihood - fall, rel=1e-7, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["linear", "noise-free", "exact start"])
 @few
 @given(data=st.data())

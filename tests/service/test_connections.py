@@ -82,6 +82,7 @@ def test_a_client_may_come_back_as_late_as_it_may_come(make_client):
         assert ends(used)
 
 
+@pytest.mark.long
 def test_who_does_not_read_the_answer_is_left(make_client, eventually):
     client = make_client(body_seconds=0.2)
     ask = b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n"

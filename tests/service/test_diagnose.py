@@ -267,6 +267,7 @@ def test_stages_of_counted_steps_tell_their_own_share():
     assert told[-1][2] is None
 
 
+@pytest.mark.long
 def test_several_records_and_several_held_out_ones(client, ended, pushed):
     parts = [{"y": pushed[:160], "dt": 1.0}, {"y": pushed[160:220], "dt": 1.0}]
     job = request(pushed) | {"series": parts, "test": [{"y": pushed[220:260]}, {"y": pushed[260:]}]}

@@ -35,6 +35,7 @@ def test_more_iterations_give_the_digits_of_one_long_run(client, estimation, end
     assert found == expected
 
 
+@pytest.mark.long
 def test_a_result_is_there_while_it_goes_on(client, estimation, ended):
     url = client.post("/jobs", json=estimation(iterations=1)).headers["location"]
     ended(client, url)

@@ -30,6 +30,7 @@ def expected(hold):
     return engine.free_run(engine.get_model("tanks"), None, series).y[:, 0]
 
 
+@pytest.mark.long
 def test_what_is_computed_heeds_it(client, ended):
     for hold in HOLDS:
         y = simulated(client, ended, client.post("/jobs", json=request(hold=hold)))

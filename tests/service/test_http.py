@@ -149,6 +149,7 @@ def post_files(client, request, *files):
     return client.post("/jobs/upload", data={"request": json.dumps(request)}, files=parts)
 
 
+@pytest.mark.long
 def test_uploads_compute_what_json_does(client, ended, data):
     y = np.array(data)
     base = {"kind": "smooth", "model": "linear-2", "options": {"particles": 30, "seed": 1}}

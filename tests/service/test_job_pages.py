@@ -49,6 +49,7 @@ def test_one_address_two_forms(client, url, ended):
     assert {link["rel"] for link in job["links"]} == {"self", "trace", "results", "report"}
 
 
+@pytest.mark.long
 def test_results_hold_what_the_page_shows(client, url, ended):
     ended(client, url)
     found = client.get(f"{url}/results").json()
@@ -113,6 +114,7 @@ def test_report_in_parts(client, url, ended):
     assert not re.search(r"<script|<style|\sstyle=|\son\w+=", html)
 
 
+@pytest.mark.long
 def test_more_points_where_a_long_curve_is_zoomed_into(client, ended):
     request = {"kind": "simulate", "model": "linear-2", "options": {"samples": 9000, "seed": 1}}
     url = client.post("/jobs", json=request).headers["location"]

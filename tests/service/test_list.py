@@ -134,6 +134,7 @@ def test_a_store_of_before_there_were_names_still_opens(store):
 # ---- over HTTP --------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_job_has_a_name_and_tags(client, estimation, ended):
     request = estimation(method="rts-em") | {"name": "Pump 3", "tags": ["pump", "two words"]}
     url = client.post("/jobs", json=request).headers["location"]

@@ -18,6 +18,7 @@ SERIES = engine.simulate(MODEL, None, 60, np.random.default_rng(4)).series
 JOB = SimpleNamespace(model=MODEL, series=[SERIES])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("n", "scatter"), [(40, (0.3, 2.5)), (2, (4.0, 80.0))])
 def test_the_stated_error_is_the_spread_over_seeds(n, scatter):
     """40 seeds know a standard deviation to 11 %, and its own estimate from five runs adds noise.

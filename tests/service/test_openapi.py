@@ -15,6 +15,7 @@ def test_document_lists_every_call(client):
     } <= calls  # fmt: skip
 
 
+@pytest.mark.long
 def test_keys_are_described_where_they_are_needed(client, make_client, tmp_path):
     (tmp_path / "keys").write_text(f"anna {'0' * 64}\n")
     keyed = make_client(keys_file=tmp_path / "keys").get("/openapi.json").json()

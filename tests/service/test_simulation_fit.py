@@ -65,6 +65,7 @@ def test_what_it_has_no_use_for_is_refused(client, request_, options, field):
     assert answer.json()["errors"][0]["field"] == f"options.{field}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("starts", [1, 2])
 def test_em_leaves_from_it(client, ended, request_, starts):
     options = {"first": "simulation", "iterations": 2, "particles": 20, "standard_errors": False}

@@ -9,6 +9,7 @@ from service.schemas import EstimateRequest
 from service.validation import prepare
 
 
+@pytest.mark.long
 def test_best_of_several_starts(client, estimation, ended):
     request = estimation(method="rts-em", iterations=10, starts=4)
     request["parameters"]["ranges"] = {"theta": [0.0, 0.5]}

@@ -254,6 +254,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", WRITERS)
 def test_who_waits_for_a_job_holds_none_of_its_tasks(postgres, eventually, name):
     """Locks are taken in one order, job before task, so that no two writers wait for each other."""

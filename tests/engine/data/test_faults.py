@@ -82,6 +82,7 @@ def test_of_many_records_a_few_sentences_are_told():
     assert about_faults(LEVEL.outputs, {}, records[:1], outliers=True) == ""
 
 
+@pytest.mark.long
 def test_estimates_tell_of_faults():
     """Of marks, and of single readings far off where the noise is Gaussian; of clean records none."""
     rng = np.random.default_rng(4)

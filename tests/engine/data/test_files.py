@@ -185,6 +185,7 @@ def test_arrays_of_npz_and_mat():
             read_series_bytes(data, name, y={"level": "y"})
 
 
+@pytest.mark.long
 def test_arrays_of_other_names_and_of_unequal_length():
     data = mat(qm=np.arange(3.0)[:, None], vir=np.arange(3.0)[:, None], note="text")
     series = read_series_bytes(data, "a.mat", y=["qm"], u={"drive": "vir"}, dt=1e-3)
@@ -217,6 +218,7 @@ def test_broken_and_too_new_matlab_files():
         read_series_bytes(b"not a matlab file at all, but long enough to be tried" * 9, "a.mat")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["csv", "mat", "npz"])
 def test_what_is_written_is_read_back(tmp_path, ending):
     rng = np.random.default_rng(0)
@@ -381,6 +383,7 @@ def test_a_file_that_crashes_scipy_s_reader_crashes_nobody_else(
         read_series_bytes(FILES["a.mat"], "a.mat")
 
 
+@pytest.mark.long
 def test_a_step_beside_a_column_of_times_must_be_their_step():
     """Once it was taken and the times were not: a frequency twice as large, "converged"."""
     regular, gaps = b"t,y\n0,1\n0.02,2\n0.04,3\n", b"t,y\n0,1\n0.02,2\n0.06,3\n"

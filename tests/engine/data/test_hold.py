@@ -86,6 +86,7 @@ def records():
     return {True: long, False: long.part(0, 40)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hold", HOLDS[1:])
 @pytest.mark.parametrize("name", STEPPING)
 def test_whoever_steps_a_model_heeds_it(records, name, hold):

@@ -217,6 +217,7 @@ def test_a_report_in_years_has_years_on_its_axes(found, tmp_path):
     assert "time [year]" in [panel.get_xlabel() for panel in figure.axes]
 
 
+@pytest.mark.long
 def test_a_saved_diagnosis_keeps_the_unit_of_time(found, tmp_path):
     loaded = engine.load(found["year"].save(tmp_path / "a.json"))
     assert loaded.series.time_unit == "year"

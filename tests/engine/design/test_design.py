@@ -118,12 +118,14 @@ def test_stop_bands_are_left_alone_in_every_record_that_is_offered(made):
     assert leakage(made.u[:, 0], limits, 0.1) > LEAK
 
 
+@pytest.mark.long
 def test_limits_that_no_input_keeps_are_named():
     with pytest.raises(OptionError, match="inputs keeps the limit") as refused:
         _designed(bounds={**BOUNDS, "states": {"velocity": (-0.01, 0.01)}})
     assert refused.value.field == "bounds.states.velocity"
 
 
+@pytest.mark.long
 def test_twins_are_said_to_be_such():
     made = _designed(causes={"force:velocity": 0.2, "input-offset:voltage": 0.4})
     (one,) = made.undecided
@@ -167,6 +169,7 @@ def two_tanks():
     )
 
 
+@pytest.mark.long
 def test_the_sensor_that_tells_twins_apart_is_the_best_of_those_named():
     """Water that leaves either tank lowers the lower level alike: a gauge on the upper one decides."""
     causes = {"force:upper": -0.2, "force:lower": -0.2}

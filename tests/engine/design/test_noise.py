@@ -245,6 +245,7 @@ def test_a_constant_force_is_plainer_than_a_friction_that_predicts_the_same():
     assert pole.lead.tolist() == [2.0, 2.0]
 
 
+@pytest.mark.long
 def test_the_probability_falls_as_the_alarm_needs_more():
     q = before_any(drive(), CAUSES, None, 0.1, None)
     u = np.repeat(np.random.default_rng(5).uniform(-6, 6, (1, 12, 1)), 10, axis=1)

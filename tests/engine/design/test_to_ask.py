@@ -72,6 +72,7 @@ def the_same(question, other):
             np.testing.assert_allclose(two.information, one.information)
 
 
+@pytest.mark.long
 def test_what_an_earlier_round_found_is_in_the_model():
     series = record(["coulomb:velocity"], {"coulomb_velocity": 0.5})
     first = refitted(MODEL, series, "coulomb:velocity")

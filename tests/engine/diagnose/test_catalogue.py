@@ -65,6 +65,7 @@ def mixed_case():
     return model, setting, engine.simulate(model, None, 50, rng, u=u, dt=DT).series
 
 
+@pytest.mark.long
 def test_at_size_zero_the_extended_model_is_the_model():
     model, setting, series = mixed_case()
     x1 = np.array([0.3, -0.2])

@@ -214,6 +214,7 @@ def test_seconds_of_a_part_are_counted_once():
     assert told == [parts["a sum"]["seconds"]]
 
 
+@pytest.mark.long
 def test_every_second_is_of_a_stage(monkeypatch):
     """Steps are chosen again for what was found: in the search, though all of it was kept."""
     clock = pipeline.Clock()

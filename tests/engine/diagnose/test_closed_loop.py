@@ -140,6 +140,7 @@ def test_a_direct_path_is_named_where_the_input_is_given(seed):
     assert "closed loop" not in " ".join(found.notes)
 
 
+@pytest.mark.long
 def test_the_level_is_kept_where_the_input_is_given_from_outside():
     """Inputs of several kinds seem to answer as rarely as the level says."""
     rng = np.random.default_rng(0)
@@ -166,6 +167,7 @@ def test_inputs_that_answer_are_known():
             assert answering(fit, series) == (["heater"] if closed else [])
 
 
+@pytest.mark.long
 def test_effects_that_compare_a_reading_with_the_input_of_its_row():
     series = record(1, False)
     setting = setting_for(TANK, series, TANK.theta())
@@ -180,6 +182,7 @@ def test_effects_that_compare_a_reading_with_the_input_of_its_row():
     }
 
 
+@pytest.mark.long
 def test_errors_are_not_sorted_by_an_input_that_saw_them():
     found = engine.diagnose(TANK, record(3, closed=True), effects=["bias"])
     assert "whenever the input" not in str(found)

@@ -37,6 +37,7 @@ def shifted(x, d):
     return np.concatenate([np.full(d, x[0]), x[:-d]])
 
 
+@pytest.mark.long
 def test_half_of_twice_as_late_is_told_as_all_of_it():
     """As the search may find it, from a probe that is too long; this one is less likely than the truth."""
     found, series = refit(lambda x: shifted(x, 4))

@@ -30,6 +30,7 @@ def leaking():
     return model, engine.Series(run.series.y, u, dt=300.0)
 
 
+@pytest.mark.long
 def test_more_are_refitted_where_the_effect_is_larger_than_the_noise(leaking):
     model, series = leaking
     series = series.part(0, 160)

@@ -80,6 +80,7 @@ def test_a_declared_zero_is_looked_at_alone(decaying):
     assert effect.zero is None
 
 
+@pytest.mark.long
 def test_the_search_for_a_zero_is_told_what_it_has_to_gain(decaying, monkeypatch):
     """Else each effect of which the data tell no zero is followed to the last digit, with one that is free."""
     model, series = mixer(), decaying.part(0, 120)

@@ -127,12 +127,14 @@ def test_a_record_cut_from_a_longer_one_is_found_out():
     assert start.size == pytest.approx(left, abs=4.0 * start.standard_error + 0.01)
 
 
+@pytest.mark.long
 def test_a_whole_record_begins_where_it_should():
     model, series = cell(300, np.random.default_rng(3))
     found = diagnose(model, series, seed=1, effects=["start", "bias", "force"])
     assert found.verdict.value == "nothing"
 
 
+@pytest.mark.long
 def test_a_long_record_is_not_searched_where_the_model_knows_nothing_of_its_start():
     """What looks best is in its middle, where the charge is not what the model says of the first row."""
     model, series = cell(12_000, np.random.default_rng(4))

@@ -100,6 +100,7 @@ def test_every_row_is_left_out_once_in_blocks(T):
     assert len(lengths) == (25 if T >= 50 else -(-T // 2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("row", [48, 49, 50, 51, 52])
 def test_a_step_gains_wherever_it_falls_among_rows_left_out(row):
     """Of a step among rows left out the others do not tell at which; once it was put behind them all."""

@@ -53,6 +53,7 @@ def test_a_time_constant_that_was_held(first, named):
         assert found.gain.adopt
 
 
+@pytest.mark.long
 def test_estimated_parameters_are_none():
     found = engine.diagnose(kettle(20.0), heated(), effects=["linear", "bias"], seed=1)
     assert found.verdict is Verdict.NOTHING

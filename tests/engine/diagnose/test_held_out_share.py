@@ -82,6 +82,7 @@ def test_what_is_named_without_held_out_data_has_no_gain_and_says_so(bias, tmp_p
     assert "bias:reading" in bias._repr_html_()
 
 
+@pytest.mark.long
 def test_a_diagnosis_of_the_whole_record_is_kept(bias):
     assert bias.asked.options["held_out"] == 0.0
     asked = bias.asked

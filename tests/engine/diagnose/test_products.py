@@ -195,6 +195,7 @@ def test_a_product_asked_for_by_name_is_looked_for(asked, named):
     assert make_effect(f"product:{asked}", setting).name == f"product:{named}"
 
 
+@pytest.mark.long
 def test_a_name_that_nothing_has_is_told():
     found = diagnose(
         DRYER, dryer_record(), effects=["force", "product:air*sun->air"], held_out=0, processes=1

@@ -1,6 +1,7 @@
 """Readings whose noise grows with what they read, of a model all of whose states are linear."""
 
 import numpy as np
+import pytest
 
 import engine
 from engine.diagnose.search.pipeline import find_causes
@@ -21,6 +22,7 @@ PLASMA = engine.continuous(
 )
 
 
+@pytest.mark.long
 def test_noise_may_grow_with_a_linear_state_that_is_read():
     """An assay's error in percent of what it reads: there was no effect for it, and the answer was nothing."""
     rng = np.random.default_rng(2)

@@ -276,6 +276,7 @@ def test_a_step_in_one_record_is_judged_where_it_acts():
     assert found.gain.adopt
 
 
+@pytest.mark.long
 def test_a_gain_on_blocks_of_refined_records_is_that_of_their_samples():
     records = [levels(60, 1, 0.0), levels(50, 2, 500.0)]
     fit = quasi_ml(LEVEL, records)

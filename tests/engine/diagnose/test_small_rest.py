@@ -63,6 +63,7 @@ def seen(name, statistic=40.0):
     return screen
 
 
+@pytest.mark.long
 def test_nearly_all_that_is_wrong_has_its_name_whatever_the_rest_is(record):
     found = found_in_turn(record, "coulomb:v", "bias:y")
     assert verdict_of(found, 0.05) is Verdict.UNKNOWN
@@ -77,10 +78,12 @@ def test_nearly_all_that_is_wrong_has_its_name_whatever_the_rest_is(record):
     assert "most like bias:y" in said
 
 
+@pytest.mark.long
 def test_a_name_for_a_part_of_what_is_wrong_is_not_kept(record):
     assert first_alone(found_in_turn(record, "bias:y", "coulomb:v"), record) is None
 
 
+@pytest.mark.long
 def test_a_free_run_that_stays_as_wrong_is_not_explained(record, monkeypatch):
     """As of a patch on the noise, which gains one step ahead only."""
     errors = iter([0.5, 1.0])

@@ -441,6 +441,7 @@ def test_drag_on_a_pendulum_leaves_nothing_for_hysteresis_to_explain():
     assert gained(fit, fine.records.main, "hysteresis:rate", way, setting)[0] < 5.0
 
 
+@pytest.mark.long
 def test_a_time_step_that_is_too_long_is_a_cause_of_its_own():
     """Of a clean record a missing pole was once named, with the size 7.1 +- 7.9."""
     series = by_runge_kutta(200, 0.04)

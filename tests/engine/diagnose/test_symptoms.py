@@ -113,6 +113,7 @@ def test_newey_west_of_white_and_of_correlated_errors():
     assert newey_west(moving, len(moving), 50) == pytest.approx(2.0 / np.sqrt(4000), rel=0.25)
 
 
+@pytest.mark.long
 def test_clean_linear_series_mostly_show_nothing():
     odd = 0
     for seed in range(7, 15):

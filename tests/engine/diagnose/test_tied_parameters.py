@@ -49,6 +49,7 @@ def series(reed):
     return engine.simulate(reed, None, 300, rng, u=u, dt=0.05).series
 
 
+@pytest.mark.long
 def test_a_right_model_with_a_parameter_too_many_raises_no_alarm(reed, series):
     """A difference on one side of a bound leaves more than rounding of the open direction: chi2 of 3e4 once."""
     fit = quasi_ml(reed, series, reed.theta())
@@ -60,6 +61,7 @@ def test_a_right_model_with_a_parameter_too_many_raises_no_alarm(reed, series):
     assert seen.p_value > 0.05
 
 
+@pytest.mark.long
 def test_what_is_determined_together_only_is_told(reed, series):
     (said,) = told_together(quasi_ml(reed, series, reed.theta()))
     assert "Only determined together, keep one of them fixed: m, k, c, b." in said

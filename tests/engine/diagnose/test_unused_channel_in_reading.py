@@ -1,11 +1,13 @@
 """A channel that the model leaves out may act on the reading alone, on no state."""
 
 import numpy as np
+import pytest
 
 import engine
 from engine.models.local_level import MODEL as LEVEL
 
 
+@pytest.mark.long
 def test_a_reading_that_depends_on_an_unused_channel():
     """As a sensor of one quantity that another one disturbs: it was offered to states alone, and not seen."""
     rng = np.random.default_rng(4)

@@ -172,6 +172,7 @@ def forced():
     return Refit(effect, quasi_ml(effect.apply(LINEAR), series), 50.0, 50.0), series
 
 
+@pytest.mark.long
 def test_a_force_is_shown_where_the_data_determine_it(forced):
     refit, series = forced
     force = unnamed_force(refit, series)
@@ -477,6 +478,7 @@ def test_the_page_says_the_decision_with_its_numbers(named):
     assert 'class="warn">Not adopted, so.' in html
 
 
+@pytest.mark.long
 def test_pictures_and_data_show_the_same_autocorrelation(named):
     pytest.importorskip("matplotlib")
     z = named.symptoms.z[:, 0]

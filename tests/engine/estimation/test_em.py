@@ -97,6 +97,7 @@ def test_resumed_runs_give_the_same_bits(method, warm_start):
             same_bits(whole, rbps_em(MODEL, series, resume=copy, **options))
 
 
+@pytest.mark.long
 def test_a_run_stopped_after_its_last_iteration_says_the_same():
     """Also where filters were left with one particle: what is said comes from what is kept."""
     y = np.array(SERIES.y[:60])
@@ -109,6 +110,7 @@ def test_a_run_stopped_after_its_last_iteration_says_the_same():
         same_bits(whole, rbps_em(MODEL, series, n_iterations=4, resume=part.checkpoint, **options))
 
 
+@pytest.mark.long
 def test_another_seed_gives_other_numbers():
     one, other = (
         rbps_em(MODEL, SERIES.part(0, 40), n_particles=10, n_iterations=2, seed=s) for s in (1, 2)

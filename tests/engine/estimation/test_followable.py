@@ -21,6 +21,7 @@ def asked(theta, start):
     return beside, moment, particles
 
 
+@pytest.mark.long
 def test_a_maximum_that_particles_cannot_follow_is_left_for_a_point_as_likely():
     start = RESERVOIR.theta()
     peak = quasi_ml(RESERVOIR, [SERIES], start).theta

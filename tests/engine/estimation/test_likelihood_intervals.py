@@ -114,6 +114,7 @@ def test_ends_of_a_parabola_and_of_a_curve_that_never_falls():
     assert high < 3.0
 
 
+@pytest.mark.long
 def test_a_parameter_that_is_held_has_no_interval():
     model = scalar_linear.MODEL
     series = engine.simulate(model, None, 60, np.random.default_rng(2)).series

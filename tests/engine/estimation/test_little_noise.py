@@ -130,6 +130,7 @@ def test_a_fit_of_the_simulation_starts_where_it_is_told_in_any_unit(unit):
     assert 0.0 < fit.standard_errors["mu"] / unit < 0.02
 
 
+@pytest.mark.long
 def test_where_bounds_hold_all_that_is_estimated_an_estimation_ends():
     """A first state that the model believes to know, far from the data."""
     model = engine.MixedModel(

@@ -14,6 +14,7 @@ QUICK = {"n_particles": 10, "n_iterations": 2, "warm_start": False}
 NEAR = {"w2": 39.4, "d": 0.26, "q": 0.02, "r": 4e-4}  # where estimates by long steps end
 
 
+@pytest.mark.long
 def test_maximum_likelihood_says_so_and_advises_enough():
     model, series = pendulum(), swings()
     found = engine.rbps_em(model, series, NEAR, **QUICK)

@@ -196,6 +196,7 @@ def test_a_variance_that_starts_at_zero_can_leave_it():
     assert found.theta["q"] == pytest.approx(best.theta["q"], rel=0.1)
 
 
+@pytest.mark.long
 def test_a_parameter_in_a_noisy_and_in_a_noise_free_row():
     """Q would use the noisy row alone, and settle beside the maximum."""
 

@@ -45,6 +45,7 @@ def returns(T=400):
     return engine.Series(y, dt=1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shown", [0.0, 1.0])
 def test_a_start_is_searched_for_where_the_readings_show_the_states(shown):
     model = volatility(shown)
@@ -115,6 +116,7 @@ def test_from_a_start_far_off_the_maximum_is_reached(seed):
     assert reached > -best.fun - 0.6
 
 
+@pytest.mark.long
 def test_slopes_by_a_few_particles_are_those_of_the_grid():
     """And their products the information, which noise made fifty times too large."""
     model, series = volatility(0.0), returns()

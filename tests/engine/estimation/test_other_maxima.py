@@ -20,6 +20,7 @@ def fit(measured):
     return engine.rbps_em(absorption(), measured, seed=1)
 
 
+@pytest.mark.long
 def test_the_maximum_with_the_rates_in_each_others_place_is_told(fit):
     said = fit.message
     ka, ke, V = fit.theta
@@ -57,12 +58,14 @@ def test_bounds_that_leave_out_the_other_end_the_remark(measured, fit):
     assert "another maximum" not in bounded.message
 
 
+@pytest.mark.long
 def test_a_model_with_one_maximum_has_no_remark():
     model = engine.get_model("local-level")
     series = engine.simulate(model, None, 200, np.random.default_rng(3)).series
     assert "another maximum" not in engine.rbps_em(model, series, n_iterations=5, seed=1).message
 
 
+@pytest.mark.long
 def test_points_of_one_ridge_are_not_told_twice():
     """Gain and offset of an input that acts through their product alone: the ridge was "another maximum"."""
     model = engine.MixedModel(

@@ -44,6 +44,7 @@ def test_resuming_a_warm_started_run_gives_the_same_bits(series):
     assert np.array_equal(whole.trace, again.trace)
 
 
+@pytest.mark.long
 def test_uphill_climbs_to_the_maximum_above_the_start_alone(series, monkeypatch):
     """From near the maximum both searches find it; uphill evaluates the filter a fraction as often."""
     model = get_model("mixed-4")

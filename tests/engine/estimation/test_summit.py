@@ -100,6 +100,7 @@ def test_what_the_data_ask_none_of_is_still_said_to_be_at_its_bound():
     assert likelihood.of(found.theta) >= least - 0.01
 
 
+@pytest.mark.long
 def test_an_estimate_next_to_no_noise_is_moved_where_more_of_it_is_likelier(measured, highest):
     model = trend()
     found = engine.rts_em(model, measured, START, n_iterations=1)

@@ -179,6 +179,7 @@ def test_strongly_correlated_parameters_keep_their_errors(apart, correlation):
     np.testing.assert_allclose(best.standard_errors, np.sqrt(np.diag(C)), rtol=0.02)
 
 
+@pytest.mark.long
 def test_inputs_that_are_one_are_tied():
     series = record(NEAR, apart=0.0)
     best = quasi_ml(NEAR, series)

@@ -203,6 +203,7 @@ def test_without_nonlinear_states_nothing_is_drawn():
         assert not found.relative_error.any()
 
 
+@pytest.mark.long
 def test_the_moment_filters_information_saves_smoothers(asked, best):
     exact = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
     asked.clear()
@@ -339,6 +340,7 @@ def test_a_score_far_from_zero_is_no_maximum_however_badly_its_errors_are_known(
     assert not observed._doubtful(20.0, 9.0, 16)
 
 
+@pytest.mark.long
 def test_a_distance_that_a_wrong_covariance_hides_is_told(top, monkeypatch):
     """The covariance is taken for far too small: its decrement says nothing."""
     sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
@@ -450,6 +452,7 @@ def test_an_estimation_that_ran_out_of_iterations_is_named(best):
     assert "no standard errors of an estimate" in str(report)
 
 
+@pytest.mark.long
 def test_a_bound_that_the_likelihood_draws_away_from_is_named():
     """At its bound a parameter is held; if the maximum is inside, the others' errors mean nothing."""
     model = engine.get_model("local-level")

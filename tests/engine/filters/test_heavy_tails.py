@@ -221,6 +221,7 @@ def test_default_filter_survives_outliers(
     assert runs["adapted"][0].log_likelihood > plain.log_likelihood + 50.0
 
 
+@pytest.mark.long
 def test_outliers_are_given_little_weight(
     spoilt: tuple[engine.Simulation, engine.Series, np.ndarray],
 ) -> None:

@@ -22,6 +22,7 @@ def series() -> engine.Series:
     return engine.simulate(LINEAR, None, 60, np.random.default_rng(1)).series
 
 
+@pytest.mark.long
 def test_filter_agrees_with_kalman(series: engine.Series) -> None:
     y = series.y.copy()
     y[20:23] = np.nan

@@ -35,6 +35,7 @@ def test_coordinates_without_spread_are_left_out():
     assert sorted(along_curve(x).tolist()) == list(range(50))
 
 
+@pytest.mark.long
 def test_with_the_same_random_numbers_the_likelihood_hardly_jumps():
     """Along a thousandth of a parameter's size it leaves a parabola by less than that of the plain scheme."""
     model = engine.get_model("mixed-4")

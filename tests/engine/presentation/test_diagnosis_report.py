@@ -303,6 +303,7 @@ def test_the_noise_along_a_run_asks_a_model_one_time_at_a_time():
     assert level == pytest.approx([np.sqrt(variances.mean())])
 
 
+@pytest.mark.long
 def test_the_unnamed_force_is_shown_where_the_set_holds_it():
     rng = np.random.default_rng(3)
     series = hide(LINEAR, ["latent:z"], {"latent_z": 1.0, "latent_z_time": 20.0}, 200, rng).series
@@ -341,6 +342,7 @@ def test_a_test_series_of_its_own_follows_in_time():
     assert whole.dt == pytest.approx(0.5)
 
 
+@pytest.mark.long
 def test_step_of_the_nile_gains_on_blocks_left_out():
     series = nile()
     base = quasi_ml(LEVEL, series)

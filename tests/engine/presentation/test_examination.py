@@ -51,6 +51,7 @@ def test_the_document_of_an_estimate(series, found):
     assert one["residuals"]["z"]["y"][22] is None
 
 
+@pytest.mark.long
 def test_what_is_printed_tells_what_was_found(series, found):
     looked_at = engine.examine(found, series, test=Series(np.nan_to_num(series.y)))
     text = " ".join(str(looked_at).split())
@@ -75,6 +76,7 @@ def test_curves_are_those_of_the_kalman_filter(series, found):
     assert logs == pytest.approx(exact.log_likelihood, abs=1e-3)  # curves have seven digits
 
 
+@pytest.mark.long
 def test_uncertain_parameters_widen_the_free_run(series, found):
     errors = engine.standard_errors(LINEAR, found.theta, series, exact=True)
     wide = engine.examine(found, series, errors).document["examination"]["series"][0]

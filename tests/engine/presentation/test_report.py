@@ -118,6 +118,7 @@ def test_diagnosis_in_one_file(diagnosis, tmp_path):
         assert any(figure in svg["aria-label"] for svg in page.all("svg")), figure
 
 
+@pytest.mark.long
 def test_estimate_in_one_file(estimate, tmp_path):
     page = check_alone(estimate.report(tmp_path / "out.html").read_text("utf-8"))
     ids = [s["id"] for s in page.all("section")]

@@ -36,6 +36,7 @@ def scalar(k):
     )
 
 
+@pytest.mark.long
 def test_stationary_moments_and_singular_noise():
     n = 20_000
     drawn = simulate(scalar(0.8), None, n, np.random.default_rng(0), u=np.zeros(n))
@@ -82,6 +83,7 @@ def test_shipped_models_give_a_series_that_fits_them(model):
     np.testing.assert_array_equal(again.y, drawn.y)
 
 
+@pytest.mark.long
 def test_irregular_times_reach_the_model():
     rng = np.random.default_rng(3)
     t = np.cumsum(rng.uniform(0.5, 8.0, 4000))

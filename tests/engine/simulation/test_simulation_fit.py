@@ -132,6 +132,7 @@ def test_an_estimate_at_a_bound_is_said_to_be():
     assert "Widen the bound where physics allows it" in fit.message
 
 
+@pytest.mark.long
 def test_several_series_share_theta_and_have_their_own_first_state():
     drawn = [tanks(1, 300), tanks(2, 200)]
     fit = fit_simulation(TANKS, [one.series for one in drawn])
@@ -180,6 +181,7 @@ def servo(true):
     return simulate(SERVO, true | quiet, n, rng, u=u, dt=dt).series
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", [{}, {"M": 300.0, "Fv": 60.0, "Fc": 2.0, "offset": -10.0}])
 def test_servo_friction_is_recovered_also_from_afar(start):
     true = {"M": 110.0, "Fv": 180.0, "Fc": 28.0, "offset": 4.0}
@@ -476,6 +478,7 @@ def test_errors_of_outputs_in_different_units_are_not_thrown_together():
     assert other.theta["phi"] == pytest.approx(fit.theta["phi"], rel=1e-6)
 
 
+@pytest.mark.long
 def test_the_best_of_several_starts_is_the_same_in_every_unit():
     """The channel with the smallest unit decided alone which one a diagnosis went on from."""
     for force in (1.0, 1e3, 1e-3):
@@ -485,6 +488,7 @@ def test_the_best_of_several_starts_is_the_same_in_every_unit():
         assert found.theta["k"] == 6.5
 
 
+@pytest.mark.long
 def test_a_run_that_runs_away_is_said_and_nothing_of_its_parameters():
     """A magnet holds a ball, and a controller the magnet: without noise the ball falls or jumps."""
 

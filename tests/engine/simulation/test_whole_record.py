@@ -165,6 +165,7 @@ def test_a_run_that_is_not_finite_ends_as_in_the_loop():
         engine.free_run(model, None, series)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("within", [False, True])
 def test_a_model_that_takes_one_time_in_a_call(within):
     model = engine.get_model("oscillator")
@@ -263,6 +264,7 @@ def in_other_units(model, scale, shift, u, y, t):
 POWER = st.integers(-9, 9).map(lambda k: 10.0**k)
 
 
+@pytest.mark.long
 @settings(max_examples=30, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(
     x=POWER,

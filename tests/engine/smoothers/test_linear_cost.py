@@ -29,6 +29,7 @@ def curved_dynamics(a: Any, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, A
 CURVED = replace(LINEAR, dynamics=curved_dynamics)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [LINEAR, CURVED], ids=["common", "per particle"])
 @pytest.mark.parametrize("method", ["rejection", "mcmc"])
 def test_same_paths_as_the_full_sampler(model: engine.MixedModel, method: str) -> None:
@@ -127,6 +128,7 @@ def test_options_are_checked() -> None:
         rb_ffbsi_linear(filtered, 10, rng, moves=0)
 
 
+@pytest.mark.long
 def test_em_with_linear_cost() -> None:
     """One EM step is that of the full sampler within its Monte Carlo error."""
     series = engine.simulate(LINEAR, None, 60, np.random.default_rng(1)).series

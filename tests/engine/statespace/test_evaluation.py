@@ -529,6 +529,7 @@ def in_other_units(
     return replace(model, dynamics=dynamics, measurement=measurement, initial=initial)
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(
     x=POWER, z=POWER, u=POWER, y=POWER, t=POWER, factor=st.sampled_from(["array", "if u", "math"])

@@ -178,6 +178,7 @@ def assert_same(got, expected):
         np.testing.assert_allclose(x, y, rtol=1e-11, atol=1e-13 * (1.0 + np.abs(y).max()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("written", WRITTEN, ids=lambda f: f.__name__)
 @settings(max_examples=8, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(seed=st.integers(0, 10**6))

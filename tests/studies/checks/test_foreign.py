@@ -127,6 +127,7 @@ def test_a_fault_goes_by_a_name_of_the_catalogue(name, key):
 # ---- other units ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", list(SYSTEMS))
 def test_in_other_units_the_likelihood_is_the_same_but_for_the_jacobian(name):
     system = replace(SYSTEMS[name], rows=50)
@@ -328,6 +329,7 @@ def test_a_series_is_diagnosed_in_both_units(short, monkeypatch, effects):
     assert set(found) == {"system", "level", "hidden", *runs.BLANK}
 
 
+@pytest.mark.long
 def test_where_the_plant_runs_away_another_draw_is_made():
     cell = cells.cell_of("pendulum:cubic@ordinary")
     over_the_top = [runs.JUDGED, 64, runs.STREAMS["inside"], 86]

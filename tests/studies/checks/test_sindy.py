@@ -31,6 +31,7 @@ def planted(effect=None, size=0.0, rows=600):
     return x, u
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("linear", ["kept", "thresholded"])
 def test_a_planted_term_is_kept_alone(linear):
     pytest.importorskip("pysindy", reason=NOT_PYSINDY)

@@ -234,6 +234,7 @@ def test_starts_are_the_papers():
         assert 0.95 * high < values.max() <= high
 
 
+@pytest.mark.long
 def test_rmse_tables_in_both_units(tmp_path):
     text = make_study(states.TABLES_1_2, tmp_path, runs=2, workers=1)
     assert "sqrt(1000) = 31.6" in text

@@ -134,6 +134,7 @@ TABLE = engine.MixedModel(
 LONG = Series(np.repeat(np.arange(6.0), 1000), np.full(6000, 1e-3), dt=1.0)
 
 
+@pytest.mark.long
 def test_windows_that_are_silent_on_what_the_record_tells_are_no_picture_of_it():
     free = TABLE.parameter_names
     assert sum(map(len, windows.windows([LONG]))) <= windows.MOST_ROWS

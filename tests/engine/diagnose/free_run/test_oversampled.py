@@ -95,12 +95,14 @@ def test_other_units_of_every_channel_of_time_and_of_parameters_keep_them_too():
     assert worth[1] == pytest.approx(worth[0], rel=1e-6)
 
 
+@pytest.mark.long
 def test_noise_of_the_readings_is_not_thrown_away():
     """Errors that are new with every sample are worth having."""
     noisy = {**QUIET, "sigma_y": 0.5}
     assert fewer_samples(SERVO, noisy, [slow(**noisy, offset=-3.0)], MOST_ROWS) is None
 
 
+@pytest.mark.long
 def test_a_plant_that_swings_between_the_samples_is_not_looked_at_so():
     fast = engine.get_model("oscillator")
     told = {"omega": 1200.0, "zeta": 0.01, "sigma_v": 1e-3, "sigma_y": 2e-4}
@@ -114,12 +116,14 @@ def test_noise_that_is_counted_by_steps_forbids_it():
     assert fewer_samples(model, None, [series], MOST_ROWS) is None
 
 
+@pytest.mark.long
 def test_irregular_times_forbid_it():
     series = slow()
     t = series.t + 2e-4 * np.sin(np.arange(ROWS))
     assert fewer_samples(SERVO, QUIET, [series.replace(t=t)], MOST_ROWS) is None
 
 
+@pytest.mark.long
 def test_nothing_that_counts_samples_is_looked_for():
     series = slow().thinned(10)
     names = of_any_step(None, setting_for(SERVO, series, np.asarray(SERVO.theta(QUIET))), FREE)

@@ -60,6 +60,7 @@ def test_a_dead_zone_that_the_record_does_not_leave_does_not_survive(fit):
     assert survivors(own, [wide], setting) == ()
 
 
+@pytest.mark.long
 def test_only_what_is_worse_on_rows_left_out_is_ruled_out(fit):
     """One that was left for its parameters, or whose own gain is not sure, is not."""
     own = losses(fit, folds_of(fit.records))
