@@ -27,7 +27,7 @@ serve: setup
 test: setup
 	$(PYTEST) -m "not slow and not long"
 
-# What takes a second or more each, which every push is checked with as well.
+# What takes a third of a second or more each, which every push is checked with as well.
 test-long: setup
 	$(PYTEST) -m "long and not slow"
 
