@@ -96,7 +96,8 @@ def _gain_that_changes(
             of_gain=True,
             swallowed=True,
             plainness=ANY + 1,
-            contains=("step",),  # of a reading far from the zero it counts from
+            # of a reading far from the zero it counts from; from before the record on
+            contains=("step", kind.removesuffix("-step")),
         ),
         **members,
     )
