@@ -64,7 +64,6 @@ from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptom
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, check_count
 from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
-from engine.estimation.quasi_ml import QuasiFit
 from engine.forked import in_processes
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
@@ -304,7 +303,7 @@ def diagnose(  # noqa: PLR0913
         too_long = about_predictions(model, np.asarray(judged.before.theta), [shown])
         notes.extend([f"{too_long} {FOR_ESTIMATES}"] if too_long else [])
     fitted_last = judged.after if judged.causes else causes.base
-    if isinstance(fitted_last, QuasiFit) and not (judged.causes and has_tails(judged.search)):
+    if not (judged.causes and has_tails(judged.search)):
         notes.extend(filter(None, [about_own_steps(fitted_last, searched, causes.setting)]))
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
     clock.start("symptoms")

@@ -133,10 +133,14 @@ class FreeRunProblem:
         if not self._agree(jacobian):
             self.at_once, self._last = False, None
             _, jacobian = self.evaluate(self.start())
-        size = np.abs(jacobian[:, : self.active.size]).max(axis=0, initial=0.0) * self.steps()
-        quiet = ~(size > SILENT * float(size.max(initial=0.0)))
+        quiet = ~self.shows(jacobian)
         self.silent, self.active = self.active[quiet], self.active[~quiet]
         self._last = self._ahead = None
+
+    def shows(self, J: Array) -> NDArray[np.bool_]:
+        """Which of the active parameters change the run, by the derivatives (n, n_p) of its residuals."""
+        size = np.abs(J[:, : self.active.size]).max(axis=0, initial=0.0) * self.steps()
+        return np.asarray(size > SILENT * float(size.max(initial=0.0)))
 
     def _look_for_sizes(self) -> None:
         """A size for each active parameter that starts at 0: what changes the run as much as it is wrong."""

@@ -23,7 +23,7 @@ from engine.statespace.promotion import promote
 KIND, CHANNEL = "time-step", "dt"
 SHORTER = 1e-3  # of the step: over so short a time the state of a model with a real dt hardly moves
 HARDLY = 0.1  # of its move over the whole step
-FORESEEN = (0.8, 2.4)  # 2 of a scheme of first order, 4/3 of second order, 16/15 of fourth
+SIZES = (0.8, 2.4)  # 2 of a scheme of first order, 4/3 of second order, 16/15 of fourth
 ROUNDING = 1e-6  # of its move: what two half-steps may differ by and be the same
 
 
@@ -55,7 +55,7 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
             "linear": "grows with the state",
         },
         one_sided=True,
-        traits=Traits(foreseen=FORESEEN),
+        traits=Traits(foreseen=SIZES),
     )
 
 

@@ -42,7 +42,6 @@ NOT_WORSE = 0.10  # p-value of being no worse than the best, for all together
 NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
 # of the error on rows left out: less is not worth an extension, nor a further parameter
 WORTH = 0.1
-SHOWN = 1e-6  # of the rms error: a parameter all of whose value moves the whole run by less is not shown
 EARNED = 0.25  # of the same: what a second effect must take beside the first
 
 
@@ -299,8 +298,7 @@ def _determined(candidate: Candidate) -> bool:
     """
     fit = candidate.fit
     names = fit.problem.names(fit.problem.active)
-    moves = np.linalg.norm(fit.J[:, : len(names)], axis=0) * np.abs(fit.p[: len(names)])
-    shown = {name for name, move in zip(names, moves, strict=True) if move > SHOWN * fit.rms}
+    shown = {name for name, yes in zip(names, fit.problem.shows(fit.J), strict=True) if yes}
     known = fit.problem.uncertainty(fit.e, fit.J)
     errors = np.sqrt(np.maximum(np.diag(known.covariance), 0.0))
     for effect in candidate.added:
