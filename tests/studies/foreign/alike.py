@@ -72,6 +72,10 @@ ARGUED: dict[tuple[str, str], tuple[tuple[str, ...], str]] = {
         ("level:terminal",),
         "rounding to steps q predicts as white noise of variance q^2 / 12 more does",
     ),
+    ("motor", "outside:product"): (
+        ("product:current*speed->speed",),
+        "the plant's own term; the catalogue has had it since the published series were drawn",
+    ),
     ("room", "lag:thermometer"): (
         ("delay:thermometer", "slow-sensor:thermometer"),
         SHORT_LAG,
