@@ -28,6 +28,7 @@ from tests.studies.foreign.units import converted, converted_series, size_factor
 from tests.studies.study import Arm, Row
 
 CRASH = "crash"
+RANKED = 8  # refits of the first round whose scores are kept
 TWIN_EACH = 3  # one in so many series of every cell is diagnosed in other units, too
 DEVELOPMENT, JUDGED = 31_000_000, 32_000_000  # first parts of the seeds
 
@@ -39,6 +40,7 @@ BLANK: Row = {
     "verdict": CRASH,
     "causes": "",
     "set": "",
+    "ranked": "",
     "p_value": np.nan,
     "size": np.nan,
     "size_error": np.nan,
@@ -92,12 +94,14 @@ def row_of(cell: Cell, seed: Sequence[int], twin: bool) -> Row:
 
 
 def answer(found: Diagnosis) -> Row:
-    """Verdict, causes in the order found, the first round's set, its p-value, the first size."""
+    """Verdict, causes in the order found, the first round's set and what came behind, its p-value and size."""
     named = [r for r in found.search.rounds if r.equivalent]
+    best = sorted(named[0].refits, key=lambda r: -r.score)[:RANKED] if named else []
     return {
         "verdict": found.verdict.value,
         "causes": " ".join(c.effect for c in found.causes),
         "set": " ".join(set_of(named[0])) if named else "",
+        "ranked": " ".join(f"{r.effect.name}={r.score:.2f}" for r in best),
         "p_value": found.p_value,
         "size": found.causes[0].size if found.causes else np.nan,
         "size_error": found.causes[0].standard_error if found.causes else np.nan,
