@@ -86,6 +86,31 @@ def feeding(
     return change > FELT_SHARE * size[:, None], moved > FELT_SHARE * size[:, None]
 
 
+def moved_by(model: MixedModel, theta: Array, points: Points, parameter: str) -> tuple[bool, bool]:
+    """Whether a parameter moves the means of the next states, and whether those of readings, at any point."""
+    index = model.index(parameter)
+    low, high = model.parameters[index].bounds
+    other = np.array(theta, dtype=float)
+    away = 0.1 * abs(other[index]) or 1.0
+    up, down = min(other[index] + away, high), max(other[index] - away, low)
+    other[index] = up if up > other[index] else down
+    states = readings = False
+    for k in range(len(points.t)):
+        x, u, t = points.x[k][None], points.u[k], float(points.t[k])
+        one, another = (_next(model, at, points, k, x, u) for at in (theta, other))
+        states |= not np.array_equal(one, another, equal_nan=True)
+        one, another = (_read(model, at, x, u, t) for at in (theta, other))
+        readings |= not np.array_equal(one, another, equal_nan=True)
+    return states, readings
+
+
+def _read(model: MixedModel, theta: Array, x: Array, u: Array, t: float) -> Array:
+    na = model.na
+    with np.errstate(all="ignore"):
+        h, C, _ = model.observation(np.ascontiguousarray(x[:, :na]), u, t, model.record(theta))
+        return np.asarray(h + np.einsum("...ij,...j->...i", C, x[:, na:]))
+
+
 def _next(model: MixedModel, theta: Array, points: Points, k: int, x: Array, u: Array) -> Array:
     return step(model, theta, x, u, float(points.t[k]), float(points.dt[k]))
 

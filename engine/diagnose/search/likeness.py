@@ -7,6 +7,7 @@ from typing import Protocol
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search.refits import Refit, held_out_terms
 from engine.statespace.model import Theta
@@ -33,18 +34,34 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
 
     def stands_for(j: int, i: int) -> bool:
         fits_as_well = refits[j].score >= refits[i].score - TIE
-        better = ranks[j] < ranks[i] and not _repaired_elsewhere(refits[j].effect, refits[i].effect)
-        return fits_as_well and better and float(((terms[i] - terms[j]) ** 2).sum()) < SAME
+        if not (fits_as_well and ranks[j] < ranks[i]):
+            return False
+        if _repaired_elsewhere(refits[j].effect, refits[i].effect, setting):
+            return False
+        return float(((terms[i] - terms[j]) ** 2).sum()) < SAME
 
     n = len(refits)
     return tuple(refits[i] for i in range(n) if not any(stands_for(j, i) for j in range(n)))
 
 
-def _repaired_elsewhere(one: Effect, other: Effect) -> bool:
+def _repaired_elsewhere(one: Effect, other: Effect, setting: Setting) -> bool:
     """Whether one of two lasting faults is a sensor's and the other the plant's or what drives it."""
-    lasting = one.traits.course is None and other.traits.course is None
-    families = {one.family, other.family}
-    return lasting and "measurement" in families and bool(families & {"state", "input"})
+    if one.traits.course is not None or other.traits.course is not None:
+        return False
+    return {_part(one, setting), _part(other, setting)} == {"sensor", "plant"}
+
+
+def _part(effect: Effect, setting: Setting) -> str:
+    """What is repaired: a "sensor", the "plant" with what drives it, or "" where it is neither.
+
+    A parameter that was held is the plant's where the states move otherwise with another value: the gain of
+    an ammeter may say the same as an inductance.
+    """
+    if effect.family == "parameter":
+        points, theta = setting.points(setting.model)
+        states, readings = moved_by(setting.model, theta, points, effect.channel)
+        return "plant" if states else "sensor" if readings else ""
+    return {"measurement": "sensor", "state": "plant", "input": "plant"}.get(effect.family, "")
 
 
 def merely_wider(found: Refit, others: Sequence[Refit]) -> bool:

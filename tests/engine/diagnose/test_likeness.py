@@ -82,6 +82,14 @@ def test_a_sensors_bias_does_not_stand_for_what_pushes_the_plant(other):
     assert names(distinct(alike, None, place("neither"))) == [other, "bias:reading"]
 
 
+def test_a_held_value_of_the_plant_does_not_stand_for_a_sensor():
+    """The gain of an ammeter and the inductance of its motor say the same, and are two repairs."""
+    alike = refits(("gain:reading", 40.0, 1.0), ("held:load", 39.9, 1.0))
+    assert names(distinct(alike, None, place("neither"))) == ["gain:reading", "held:load"]
+    pushes = refits(("coulomb:speed", 40.0, 1.0), ("held:damping", 39.9, 1.0))
+    assert names(distinct(pushes, None, place("neither"))) == ["held:damping"]
+
+
 def test_of_the_same_push_the_plainer_name_is_said():
     alike = refits(("input-offset:force", 40.0, 1.0), ("force:speed", 39.9, 1.0))
     assert names(distinct(alike, None, place("neither"))) == ["force:speed"]
