@@ -8,18 +8,19 @@ from functools import partial
 
 import numpy as np
 
-from engine.data.joined import apart
+from engine.data.joined import apart, joined, past_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
+from engine.diagnose.first_states import anywhere, begins_as_expected
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
 from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
-from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
+from engine.diagnose.gain.narrowing import narrowed, with_fair_noise, with_noise_of
 from engine.diagnose.records import Records
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import particle_word
@@ -32,12 +33,14 @@ from engine.diagnose.search.rounds import Round, settle
 from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
+from engine.words import number
 
 TESTS_NOT_USED = (
     "The test data were not used: what was found comes with time, and they do not follow the record. Its gain "
     "is of blocks of what was searched, left out in turn."
 )
 FAIR_NOISE = " (the noise of both fitted beside their other parameters)"
+NOISE_OF_ALL = ", with the noise of both fitted to them, too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,8 @@ class HeldOut:
         if verdict in NAMES:
             left = narrowed(search, self._asked, partial(self._settled, found.setting), progress)
             search, gain = left.search, left.gain
+            if gain is not None and gain.noise_of_all:
+                search = self._with_noise_of_all(search)
             notes.extend(filter(None, (left.note, left.objection)))
             if left.objection or left.note:
                 verdict = Verdict.UNKNOWN if left.objection else names_of(search)
@@ -188,7 +193,58 @@ class HeldOut:
                 fair = None
             if fair is not None:
                 objection = falls_short(fair, self._promised(search, fair), FAIR_NOISE)
+        if objection and gain is not None:
+            return self._asked_with_noise_of_all(search, gain, objection)
         return gain, objection
+
+    def _asked_with_noise_of_all(
+        self, search: Search, gain: Gain, objection: str
+    ) -> tuple[Gain | None, str]:
+        """The same with noise that is known from the held-out rows, too, where that leaves no objection.
+
+        A model that leaves nothing to noise predicts worse for as long as anything else moves it, be its cause
+        right or not. One that is wrong predicts worse with any noise.
+        """
+        try:
+            again = self._gain(self._with_noise_of_all(search))
+        except (EngineError, np.linalg.LinAlgError):
+            return gain, objection
+        if again is None or not again.adopt:
+            return gain, objection
+        note = (
+            f"With the noise of the record searched the extension loses {number(-gain.log_density)} in "
+            "log-density there, as that leaves too little to it. So the noise of both models was fitted to the "
+            "held-out rows as well, and all else was not."
+        )
+        told = replace(again, how=again.how + NOISE_OF_ALL, notes=(*again.notes, note))
+        return replace(told, noise_of_all=True), ""
+
+    def _with_noise_of_all(self, search: Search) -> Search:
+        """The search with the noise of its models fitted to what it has searched and the held-out rows."""
+        records, pair = self.records, (search.base, search.final)
+        every = [records.main]
+        if not records.keeps_back:
+            known = (records.train, *records.others)
+            pasts = [past_of(test, known) for test in records.tests]
+            every = [
+                self.searched,
+                *(
+                    test if past is None else joined(past, test)
+                    for past, test in zip(pasts, records.tests, strict=True)
+                ),
+            ]
+            anew = [test for past, test in zip(pasts, records.tests, strict=True) if past is None]
+            if not all(
+                begins_as_expected(f.model, np.asarray(f.theta), t) for f in pair for t in anew
+            ):
+                pair = anywhere(*pair, records.train)
+        wide = replace(search, base=pair[0], final=pair[1])
+        found = with_noise_of(every, wide, self.searched)
+        return replace(
+            found,
+            base=replace(found.base, model=search.base.model),
+            final=replace(found.final, model=search.final.model),
+        )
 
     def _promised(self, search: Search, gain: Gain) -> float:
         """Nats that held-out rows should gain if those searched did not by chance; 0 where that is no promise.

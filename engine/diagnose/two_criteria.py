@@ -17,6 +17,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.first_states import begins_as_expected
 from engine.diagnose.free_run.oversampled import (
     DECIDES,
     error_of_steps,
@@ -33,14 +34,11 @@ from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.judgement import ENOUGH, NAMES
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
-from engine.distributions import chi2_sf
 from engine.errors import EngineError
-from engine.filters.sigma_point import moment_path
-from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated, moment
 
 NOT_YET = SecondOpinion(Verdict.UNKNOWN, (), False, "The free run is asked with shorter steps.")
-UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
 
 
 @dataclass(frozen=True)
@@ -197,7 +195,7 @@ def _with_others(
     """
     own = kept.within("the longest record")
     fit = own.fit(model, partial(fit_base, model, records.train, theta, free))
-    expected = partial(_begins_as_expected, model, np.asarray(fit.theta))
+    expected = partial(begins_as_expected, model, np.asarray(fit.theta))
     return records.searched(expected, STRETCH)
 
 
@@ -214,24 +212,6 @@ def _of_records(records: Records, taken: int, left: Mapping[str, int]) -> str:
         f"Of {n} records the likelihood searched {which}; what is wrong is shown on the longest. "
         f"{others_left(left)} The free run was asked on all."
     )
-
-
-def _begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
-    """Whether the first readings of a record are what the model's first state lets expect."""
-    rows = np.flatnonzero(one.observed.any(axis=1))[: model.nx]
-    if not rows.size:
-        return False
-    try:
-        path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))
-    except (EngineError, np.linalg.LinAlgError):
-        return False
-    square, count = 0.0, 0
-    for t in rows:
-        there = one.observed[t]
-        nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
-        square += float(nu @ np.linalg.solve(S, nu))
-        count += int(there.sum())
-    return bool(chi2_sf(square, count) > UNLIKELY)
 
 
 def _on_fewer_samples(

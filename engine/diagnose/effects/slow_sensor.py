@@ -38,6 +38,7 @@ def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
             "lag": "is over after one sample",
             "delay": "comes late as a whole",
             "pole": "changes the motion itself",
+            "path": "follows the input, not the reading",
         },
         one_sided=True,
         traits=Traits(contains=("lag",)),  # of less than a sample, it is one

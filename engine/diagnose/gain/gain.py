@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from engine.data.joined import joined, past_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.first_states import anywhere, begins_as_expected
 from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
 from engine.diagnose.gain.simulation_gain import (
     DRAWN,
@@ -37,6 +38,10 @@ from engine.statespace.model import Array
 from engine.words import enumerated
 
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
+ELSEWHERE = (
+    "The held-out data begin where the model's first state does not allow it: there both models begin anywhere "
+    "that the record searched has been."
+)
 FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
 
 
@@ -46,7 +51,8 @@ class Gain:
 
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
     (one-sided), ``p_loss`` of no loss. ``decision`` says whether they call for the extension
-    (see :mod:`engine.diagnose.gain.adoption`). ``among``: the rows lie among those fitted to. For pictures:
+    (see :mod:`engine.diagnose.gain.adoption`). ``among``: the rows lie among those fitted to; ``noise_of_all``:
+    the noise of both models was fitted to them as well. For pictures:
     times ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
     """
 
@@ -66,6 +72,7 @@ class Gain:
     after: Array | None = field(default=None, repr=False)
     d: Array = field(default_factory=lambda: np.zeros(0), repr=False)
     among: bool = False
+    noise_of_all: bool = False
 
     @property
     def adopt(self) -> bool:
@@ -95,20 +102,27 @@ def measure_gain(
 
     ``history`` is the series that ends right before the only test: both filters then run through it and
     only the rows of the test are scored. So they do through that of the ``records`` which a test goes on with.
-    Other tests begin anew, with ``anew`` for the extension where it is another one there.
+    Other tests begin anew, with ``anew`` for the extension where it is another one there, and anywhere where
+    they do not begin as the model says.
     """
-    scored = []
+    scored, elsewhere = [], 0
     for test in tests:
         past = history or past_of(test, records)
         whole = test if past is None else joined(past, test)
         first = len(whole) - len(test)
         rows = np.arange(len(whole)) >= first
-        there = extended if past is not None or anew is None else anew
-        scored.append(score([Trial(base, there, rows)], whole, first))
+        pair = base, extended if past is not None or anew is None else anew
+        if past is None and not all(
+            begins_as_expected(fit.model, np.asarray(fit.theta), test) for fit in pair
+        ):
+            pair = anywhere(*pair, records[0])
+            elsewhere += 1
+        scored.append(score([Trial(*pair, rows)], whole, first))
     how = "held-out rows" if history is None else "the last rows, held out"
     if len(tests) > 1:
         how += f" of {len(tests)} records"
-    return gain_of(base, scored, how, seed)
+    gain = gain_of(base, scored, how, seed)
+    return replace(gain, notes=(*gain.notes, ELSEWHERE)) if elsewhere else gain
 
 
 def measure_gain_interleaved(

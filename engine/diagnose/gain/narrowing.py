@@ -6,12 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from engine.data.series import Series
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
+from engine.estimation.quasi_ml import QuasiFit, derivatives, quasi_ml
 from engine.estimation.restricted import restricted
 from engine.words import enumerated
 
@@ -110,3 +113,18 @@ def with_fair_noise(found: Search, series: Series) -> Search:
     """The search with the noise of its models as great as their other parameters leave it."""
     base, final = (restricted(f, series, noise_of(f, series)) for f in (found.base, found.final))
     return replace(found, base=base, final=final)
+
+
+def with_noise_of(records: Sequence[Series], found: Search, series: Series) -> Search:
+    """The search with the noise of its models fitted to all ``records``, and all else as it was."""
+
+    def again(fit: QuasiFit) -> QuasiFit:
+        names = [name for name, yes in zip(fit.free, noise_of(fit, series), strict=True) if yes]
+        if not names:
+            return fit
+        theta = quasi_ml(fit.model, records, fit.theta, names).theta
+        indices = fit.model.free_indices(fit.free)
+        value, _, H = derivatives(fit.model, [series], np.asarray(theta), indices)
+        return replace(fit, theta=theta, log_likelihood=float(value), information=H)
+
+    return replace(found, base=again(found.base), final=again(found.final))

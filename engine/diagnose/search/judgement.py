@@ -101,7 +101,7 @@ def judged(
     # beside an error of the steps every shape is in doubt
     doubted = verdict not in NAMES or read or bool(found.of_the_steps)
     shape = None if doubted else _shape_left(found, series, setting, seed)
-    if shape is not None and is_small(shape.statistic, found):
+    if shape is not None and is_small(shape.statistic, found, series):
         notes.append(shape.of_a_rest)
         shape = None
     if shape is not None:

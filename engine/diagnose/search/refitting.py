@@ -153,9 +153,10 @@ def _beside_look_alikes(
 ) -> list[Refit]:
     """The refits, and those of what looks like the one that leads, whatever the screen saw of it.
 
-    The screen sees the slope at no effect: of a kink, and of a step that noise has swallowed, hardly anything.
-    Of an effect that has a size only it sees enough. A look-alike that takes the lead is asked for its own.
-    Of a wave that noise has swallowed it may see another frequency: that of the one that leads is tried, too.
+    The screen sees the slope at no effect: of a kink, of a long time constant, and of a step that noise has
+    swallowed, hardly anything. Of an effect in proportion to its size it sees enough. A look-alike that takes
+    the lead is asked for its own. Of a wave that noise has swallowed it may see another frequency: that of the
+    one that leads is tried, too.
     """
     refits, asked, waves = list(refits), {r.effect.name for r in refits}, set[str]()
     while True:
@@ -204,11 +205,12 @@ def _at_other_frequencies(refits: Sequence[Refit], leading: Refit, series: Serie
 
 
 def _look_alikes(one: Effect, other: Effect) -> bool:
-    """Whether either says so, or both are steps; ``one`` has more than a size.
+    """Whether either says so, or both are steps; ``one`` is not in proportion to its size alone.
 
-    Of outliers: effects of a sensor that say so.
+    A time constant, a threshold or a step of rounding is one-sided, and has a size only. Of outliers: effects
+    of a sensor that say so.
     """
-    if one.traits.unnamed or one.traits.outliers or not further_parameters(one):
+    if one.traits.unnamed or one.traits.outliers or not (further_parameters(one) or one.one_sided):
         return False
     if other.traits.outliers:
         return one.family == "measurement" and other.kind in one.look_alikes

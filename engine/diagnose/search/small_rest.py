@@ -38,9 +38,7 @@ def first_alone(found: Search, series: Series) -> Search | None:
     fit = finished(best.fit, series)
     gain = 2.0 * (fit.log_likelihood - found.base.log_likelihood)
     rest = 2.0 * (found.final.log_likelihood - fit.log_likelihood) + _seen_after(found)
-    if rest > REST * gain or not _run_error(fit, series) <= LEFT_OVER * _run_error(
-        found.base, series
-    ):
+    if rest > REST * gain or not _runs_free(fit, found.base, series):
         return None
     alone = replace(best, fit=fit, gain=gain)
     first = replace(
@@ -61,9 +59,14 @@ def first_alone(found: Search, series: Series) -> Search | None:
     )
 
 
-def is_small(gain: float, found: Search) -> bool:
-    """Whether what would gain so much is a small part of a search that left a small rest."""
-    return found.small_rest and gain <= REST * found.named[0].gain
+def is_small(gain: float, found: Search, series: Series) -> bool:
+    """Whether what would gain so much is a small rest beside all that was found."""
+    if found.small_rest:
+        return gain <= REST * found.named[0].gain
+    if found.alarm_left or any(one.effect.family == "noise" for one in found.named):
+        return False
+    gained = 2.0 * (found.final.log_likelihood - found.base.log_likelihood)
+    return gain <= REST * gained and _runs_free(found.final, found.base, series)
 
 
 def _seen_after(found: Search) -> float:
@@ -74,6 +77,11 @@ def _seen_after(found: Search) -> float:
     gains = [one.gain for one in (*last.refits, last.generic) if one is not None]
     seen = max((score.statistic for score in last.screen.scores), default=0.0)
     return max(gains, default=FORESEEN * seen)
+
+
+def _runs_free(fit: QuasiFit, base: QuasiFit, series: Series) -> bool:
+    """Whether the free run keeps next to nothing of its error."""
+    return _run_error(fit, series) <= LEFT_OVER * _run_error(base, series)
 
 
 def _run_error(fit: QuasiFit, series: Series) -> float:

@@ -1,0 +1,94 @@
+"""Records that begin elsewhere than the model says: a test that is cut from the middle of a run, say.
+
+A model that begins at rest takes such a record's first readings for impossible, and one that leaves little to
+noise does so for long: what it loses there says nothing of a cause. So both models begin such a record anywhere
+that the record searched has been.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.distributions import chi2_sf
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.sigma_point import moment_path
+from engine.statespace.first_state import moments_of_first
+from engine.statespace.model import Array, Gaussian, MixedModel
+
+UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
+
+
+def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
+    """Whether the first readings of a record are what the model's first state lets expect."""
+    rows = np.flatnonzero(one.observed.any(axis=1))[: model.nx]
+    if not rows.size:
+        return False
+    try:
+        path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+    square, count = 0.0, 0
+    for t in rows:
+        there = one.observed[t]
+        nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
+        square += float(nu @ np.linalg.solve(S, nu))
+        count += int(there.sum())
+    return bool(chi2_sf(square, count) > UNLIKELY)
+
+
+def anywhere(base: QuasiFit, extended: QuasiFit, searched: Series) -> tuple[QuasiFit, QuasiFit]:
+    """Both fits with a first state of the model that may be anywhere that ``searched`` has been.
+
+    So may linear states that an effect has added: what a sensor is behind, say. Its nonlinear ones begin as
+    they did. Where a filter is lost on ``searched`` the fits stay as they are.
+    """
+    own = (*base.model.nonlinear, *base.model.linear)
+    try:
+        one = replace(base, model=_widened(base.model, _farthest(base, searched)))
+        added = [name for name in extended.model.linear if name not in own]
+        far = _farthest(extended, searched)
+        there = {name: far[name] for name in (*own, *added) if name in far}
+        return one, replace(extended, model=_widened(extended.model, there))
+    except (EngineError, np.linalg.LinAlgError):
+        return base, extended
+
+
+def _farthest(fit: QuasiFit, searched: Series) -> dict[str, float]:
+    """How far from its first mean each state comes."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    means = moment_path(model, theta, searched).filtered
+    middle, _ = moments_of_first(model, model.record(theta))
+    names = (*model.nonlinear, *model.linear)
+    return dict(zip(names, np.abs(means - middle).max(axis=0).tolist(), strict=True))
+
+
+def _widened(model: MixedModel, far: Mapping[str, float]) -> MixedModel:
+    """The model with standard deviations of the first state that are wider by ``far``, by state."""
+    na = model.na
+    more = np.diag([far.get(name, 0.0) ** 2 for name in (*model.nonlinear, *model.linear)])
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        start = model.start(theta)
+        mean, cov = moments_of_first(model, theta)
+        density = Gaussian(mean[:na], cov[:na, :na] + more[:na, :na]) if na else start.density
+
+        def z1(a: Array) -> Array:
+            return start.linear(a)[0]
+
+        def P1(a: Array) -> Array:
+            return np.asarray(start.linear(a)[1] + more[na:, na:])
+
+        none = np.zeros((1, na))
+        return (
+            density,
+            z1 if callable(start.z1) else z1(none)[0],
+            P1 if callable(start.P1) else P1(none),
+        )
+
+    return replace(model, initial=initial)
