@@ -7,7 +7,7 @@ import numpy as np
 from engine.errors import EngineError
 from engine.filters.linearity import why_not_linear
 from engine.statespace.checks import check_model
-from engine.statespace.model import MixedModel
+from engine.statespace.model import Array, MixedModel
 from engine.words import enumerated
 
 TRIED_ROWS = 2  # parameter vectors, and times, that a function is asked about at once
@@ -15,6 +15,8 @@ TRIED_ROWS = 2  # parameter vectors, and times, that a function is asked about a
 
 def model_check(model: MixedModel) -> list[str]:
     """What can be said of a model at its default parameters, with inputs of 0 and dt = 1 s.
+
+    Where it cannot be calculated with these, as where it divides by one, they are 1, or 1, 2, 3, ...
 
     Parameters
     ----------
@@ -27,14 +29,14 @@ def model_check(model: MixedModel) -> list[str]:
         Sentences: whether its functions can be used, which methods fit it, what is missing.
     """
     try:
-        check_model(model)
+        u = check_model(model)
     except EngineError as error:
         return [f"Cannot be used: {error}"]
     said = [
-        "Shapes, values and covariances are right at the default parameters, with inputs of 0 and a "
-        "step of 1, in the unit of its times.",
+        "Shapes, values and covariances are right at the default parameters, with inputs of "
+        f"{enumerated([f'{one:g}' for one in np.unique(u)]) or 0} and a step of 1, in the unit of its times.",
         _method(model),
-        *_calls(model),
+        *_calls(model, u),
     ]
     if not model.continuous:
         said.append(
@@ -55,7 +57,7 @@ def _method(model: MixedModel) -> str:
     why = why_not_linear(model)
     if not why:
         return (
-            "Linear and Gaussian where it was looked at, with inputs of 0, 1 and -1: there the method rts-em "
+            "Linear and Gaussian where it was looked at, with three inputs: there the method rts-em "
             "is exact, without random numbers; on data it says where it is not. Where it does not settle, as "
             "with little noise, the default method may."
         )
@@ -66,14 +68,14 @@ def _method(model: MixedModel) -> str:
     )
 
 
-def _calls(model: MixedModel) -> list[str]:
+def _calls(model: MixedModel, u: Array) -> list[str]:
     """Which functions need a call for each parameter vector."""
     theta = model.theta()
     second = np.where(theta == 0.0, 0.5, 0.9 * theta).clip(model.lower, model.upper)
     record = model.records(np.array([theta, second]))
     start = model.start(model.record(theta))
     a = np.asarray(start.density.sample(np.random.default_rng(0), TRIED_ROWS), dtype=float)
-    u, slow = np.zeros(model.nu), []
+    slow = []
     for name, function in (("dynamics", model.transitions), ("measurement", model.observations)):
         try:
             if not function.takes(a, u, 0.0, 1.0, record):

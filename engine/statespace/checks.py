@@ -86,14 +86,30 @@ def _check_on(model: MixedModel, theta: Array, series: Series) -> None:
     _check_functions(model, theta, at, "the start values")
 
 
-def check_model(model: MixedModel) -> None:
-    """Raise ModelError unless shapes, values and covariances are usable at the default parameters.
+def check_model(model: MixedModel) -> Array:
+    """The inputs (nu,) at which a model was tried without data, at its default parameters and dt = 1 s.
 
-    Without data, inputs are 0 and dt = 1 s.
+    They are 0, else 1, else 1, 2, 3, ...: an equation may divide by a speed, or by how far two inputs are
+    apart. Raises ModelError where shapes, values or covariances cannot be used at any of them.
     """
-    theta = model.theta()
-    at = ((np.zeros(model.nu), t, 1.0) for t in (0.0, 1.0))
-    for R in _check_functions(model, theta, at, "the default parameters"):
+    failed = None
+    for u in (np.zeros(model.nu), np.ones(model.nu), np.arange(1.0, model.nu + 1.0)):
+        try:
+            with np.errstate(all="ignore"):
+                _check_at(model, u)
+            return u
+        except ModelError as error:
+            if not error.numeric:
+                raise
+            failed = failed or error
+    assert failed is not None
+    raise failed
+
+
+def _check_at(model: MixedModel, u: Array) -> None:
+    """Raise ModelError unless the model can be used at the inputs u (nu,), t = 0 and 1, dt = 1 s."""
+    at = ((u, t, 1.0) for t in (0.0, 1.0))
+    for R in _check_functions(model, model.theta(), at, "the default parameters"):
         if np.any(np.diagonal(R, axis1=-2, axis2=-1) <= 0.0):
             raise ModelError(
                 f"model '{model.name}', measurement: R has a zero on its diagonal; every output "

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from engine.errors import ModelError
+from engine.presentation.model_check import model_check
 from engine.statespace.checks import check_model
 from engine.statespace.model import Gaussian, MixedModel, Parameter
 
@@ -75,6 +76,30 @@ def parameters(*several):
 def test_a_good_model_passes():
     check_model(GOOD)
     check_model(replace(GOOD, initial=returning(Bad(), 0, initial)))
+
+
+def vehicle(divided_by, linear=True):
+    """A vehicle's yaw, slower by its speed, or by how far two speeds are apart."""
+
+    def by_speed(a, u, t, dt, theta):
+        speed = divided_by(u)
+        f = a[:, 0] * (1 - dt * theta.k / speed)
+        return [f if linear else f - dt * a[:, 0] ** 3, 0.0], [[0.1], [0.5]], np.eye(2)
+
+    return replace(GOOD, dynamics=by_speed, inputs={"speed": "m/s", "wind": "m/s"})
+
+
+@pytest.mark.parametrize(
+    ("divided_by", "tried"),
+    [(lambda u: u[0], "1"), (lambda u: float(u[0]), "1"), (lambda u: u[1] - u[0], "1 and 2")],
+)
+def test_a_model_that_divides_by_an_input_is_tried_at_another(divided_by, tried):
+    """At a speed of 0 it was no model: neither registered nor read from a file."""
+    check_model(vehicle(divided_by))
+    right, method, *_ = model_check(vehicle(divided_by))
+    assert f"with inputs of {tried} and a step of 1" in right
+    assert method.startswith("Linear and Gaussian")
+    assert model_check(vehicle(divided_by, linear=False))[1].startswith("Not linear and Gaussian")
 
 
 @pytest.mark.parametrize(
