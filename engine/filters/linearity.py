@@ -22,8 +22,8 @@ def why_not_linear(model: MixedModel, theta: ThetaLike = None, series: Series | 
     """Why a model is not linear Gaussian in x = (a, z), "" where it is, by its values at some points.
 
     ``series`` gives inputs, times and steps at which it is looked at, a few of its rows; without one these are
-    inputs of 0, 1 and -1, times of 0 and 100, steps of 1 s. Of a model that cannot be calculated at inputs of 0
-    they are those of :func:`check_model`, twice and three times as much.
+    inputs of 0, 1 and -1, times of 0 and 100, steps of 1 s. Of a model that cannot be calculated so
+    they are those of :func:`check_model`, and twice and three times its inputs.
     """
     record = model.record(model.theta(theta))
     try:
@@ -46,8 +46,8 @@ def _looked_at(model: MixedModel, series: Series | None) -> list[tuple[Array, fl
     if series is not None:
         rows = np.unique(np.linspace(0, len(series) - 2, ROWS).astype(int))
         return [(series.u_step[k], float(series.t[k]), float(series.steps[k])) for k in rows]
-    first = check_model(model)
-    inputs = [k * first for k in (1.0, 2.0, 3.0)]
-    if not first.any():
+    tried = check_model(model)
+    inputs = [k * tried.u for k in (1.0, 2.0, 3.0)]
+    if not tried.u.any():
         inputs = [np.full(model.nu, way) for way in (0.0, 1.0, -1.0)]
-    return [(u, t, 1.0) for t in (0.0, 100.0) for u in inputs]
+    return [(u, t, tried.dt) for t in (0.0, 100.0) for u in inputs]

@@ -6,8 +6,8 @@ import numpy as np
 
 from engine.errors import EngineError
 from engine.filters.linearity import why_not_linear
-from engine.statespace.checks import check_model
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.checks import Tried, check_model
+from engine.statespace.model import MixedModel
 from engine.words import enumerated
 
 TRIED_ROWS = 2  # parameter vectors, and times, that a function is asked about at once
@@ -16,7 +16,7 @@ TRIED_ROWS = 2  # parameter vectors, and times, that a function is asked about a
 def model_check(model: MixedModel) -> list[str]:
     """What can be said of a model at its default parameters, with inputs of 0 and dt = 1 s.
 
-    Where it cannot be calculated with these, as where it divides by one, they are 1, or 1, 2, 3, ...
+    Where it cannot be calculated with these, other inputs and shorter steps are tried.
 
     Parameters
     ----------
@@ -29,14 +29,15 @@ def model_check(model: MixedModel) -> list[str]:
         Sentences: whether its functions can be used, which methods fit it, what is missing.
     """
     try:
-        u = check_model(model)
+        tried = check_model(model)
     except EngineError as error:
         return [f"Cannot be used: {error}"]
+    inputs = enumerated([f"{one:g}" for one in np.unique(tried.u)]) or "0"
     said = [
         "Shapes, values and covariances are right at the default parameters, with inputs of "
-        f"{enumerated([f'{one:g}' for one in np.unique(u)]) or 0} and a step of 1, in the unit of its times.",
+        f"{inputs} and a step of {tried.dt:g}, in the unit of its times.",
         _method(model),
-        *_calls(model, u),
+        *_calls(model, tried),
     ]
     if not model.continuous:
         said.append(
@@ -68,7 +69,7 @@ def _method(model: MixedModel) -> str:
     )
 
 
-def _calls(model: MixedModel, u: Array) -> list[str]:
+def _calls(model: MixedModel, tried: Tried) -> list[str]:
     """Which functions need a call for each parameter vector."""
     theta = model.theta()
     second = np.where(theta == 0.0, 0.5, 0.9 * theta).clip(model.lower, model.upper)
@@ -78,7 +79,7 @@ def _calls(model: MixedModel, u: Array) -> list[str]:
     slow = []
     for name, function in (("dynamics", model.transitions), ("measurement", model.observations)):
         try:
-            if not function.takes(a, u, 0.0, 1.0, record):
+            if not function.takes(a, tried.u, 0.0, tried.dt, record):
                 slow.append(name)
         except EngineError:  # at the second vector it cannot be calculated
             continue

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from engine.statespace.trial import UNREPEATED, UnrepeatedError, is_numeric
 
 TRIED_DRAWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
 TRIED_ROWS = 8  # rows of a series on which functions are tried
+STEPS_TRIED = (1.0, 1e-3, 1e-6, 1e-9)  # one after the other, without a series
 BELOW = 1e-6  # of its size: so far below zero it is asked whether a parameter may be
 # what covariances are of, for errors
 STEP, READING, FIRST_A, FIRST_Z = (
@@ -86,29 +88,39 @@ def _check_on(model: MixedModel, theta: Array, series: Series) -> None:
     _check_functions(model, theta, at, "the start values")
 
 
-def check_model(model: MixedModel) -> Array:
-    """The inputs (nu,) at which a model was tried without data, at its default parameters and dt = 1 s.
+class Tried(NamedTuple):
+    """Inputs (nu,) and the length of a step at which a model can be used, where there are no data."""
 
-    They are 0, else 1, else 1, 2, 3, ...: an equation may divide by a speed, or by how far two inputs are
-    apart. Raises ModelError where shapes, values or covariances cannot be used at any of them.
+    u: Array
+    dt: float
+
+
+def check_model(model: MixedModel) -> Tried:
+    """At which inputs and step a model was tried without data, at its default parameters.
+
+    Inputs are 0, else 1, else 1, 2, 3, ...: an equation may divide by a speed, or by how far two inputs are
+    apart. The step is 1 s, else shorter: what grows a thousand times faster has no number for its state then.
+    Raises ModelError where shapes, values or covariances cannot be used at any of them.
     """
-    failed = None
-    for u in (np.zeros(model.nu), np.ones(model.nu), np.arange(1.0, model.nu + 1.0)):
-        try:
-            with np.errstate(all="ignore"):
-                _check_at(model, u)
-            return u
-        except ModelError as error:
-            if not error.numeric:
-                raise
-            failed = failed or error
-    assert failed is not None
-    raise failed
+    inputs = (np.zeros(model.nu), np.ones(model.nu), np.arange(1.0, model.nu + 1.0))
+    failed: list[ModelError] = []
+    for dt in STEPS_TRIED:
+        for u in inputs:
+            try:
+                with np.errstate(all="ignore"):
+                    _check_at(model, u, dt)
+            except ModelError as error:
+                if not error.numeric and not failed:
+                    raise
+                failed.append(error)  # also one that says what is not so, of numbers far out
+            else:
+                return Tried(u, dt)
+    raise next((one for one in reversed(failed) if not one.numeric), failed[0])
 
 
-def _check_at(model: MixedModel, u: Array) -> None:
-    """Raise ModelError unless the model can be used at the inputs u (nu,), t = 0 and 1, dt = 1 s."""
-    at = ((u, t, 1.0) for t in (0.0, 1.0))
+def _check_at(model: MixedModel, u: Array, dt: float) -> None:
+    """Raise ModelError unless the model can be used at the inputs u (nu,) and two times."""
+    at = ((u, t, dt) for t in (0.0, 1.0))
     for R in _check_functions(model, model.theta(), at, "the default parameters"):
         if np.any(np.diagonal(R, axis1=-2, axis2=-1) <= 0.0):
             raise ModelError(

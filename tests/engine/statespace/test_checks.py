@@ -10,6 +10,7 @@ import pytest
 from engine.errors import ModelError
 from engine.presentation.model_check import model_check
 from engine.statespace.checks import check_model
+from engine.statespace.continuous import continuous
 from engine.statespace.model import Gaussian, MixedModel, Parameter
 
 
@@ -100,6 +101,29 @@ def test_a_model_that_divides_by_an_input_is_tried_at_another(divided_by, tried)
     assert f"with inputs of {tried} and a step of 1" in right
     assert method.startswith("Linear and Gaussian")
     assert model_check(vehicle(divided_by, linear=False))[1].startswith("Not linear and Gaussian")
+
+
+@pytest.mark.parametrize(("rate", "tried"), [(1.0, "1"), (1e5, "0.001"), (1e7, "1e-06")])
+def test_what_grows_too_fast_for_a_step_of_a_second_is_tried_at_a_shorter_one(rate, tried):
+    """An oscillator circuit of 16 kHz was no model: after a second at rest its state has no number."""
+
+    def drift(a, u, t, theta):
+        x, v = a.T
+        return [rate * v, rate * (theta.k * (1 - x**2) * v - x + u[0])], np.zeros((2, 0))
+
+    circuit = continuous(
+        name="circuit",
+        inputs=GOOD.inputs,
+        outputs=GOOD.outputs,
+        nonlinear={"x": "V", "v": "V"},
+        drift=drift,
+        diffusion=lambda a, u, t, theta: rate * np.eye(2),
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[1.0]]),
+        initial=lambda theta: (Gaussian([0.1, 0.0], np.eye(2)), [], np.zeros((0, 0))),
+        parameters=GOOD.parameters,
+    )
+    check_model(circuit)
+    assert f"and a step of {tried}, in the unit" in model_check(circuit)[0]
 
 
 @pytest.mark.parametrize(
