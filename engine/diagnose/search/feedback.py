@@ -5,7 +5,8 @@ own steps are right all the same, for u_t acts after y_t. But an effect that com
 of its own row, such as a direct path, sees the controller and takes it for a cause. The record does not tell
 the two apart. It does tell that there is a controller: past errors of prediction, with the direct path in the
 model, then foretell the input (Granger 1969; Gustavsson, Ljung, Soderstrom 1977), which they do not where it is
-given from outside.
+given from outside. A thermostat shows little of this: it is the error of its own row that decides when it
+switches. But it switches where a reading, with its error, crosses a level. With other errors it would not.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
@@ -29,6 +31,7 @@ RANGES, IN_RANGE = 6, 40  # of an input, at most, and rows in each, at least
 CLOCK = 3  # powers of time by which what an input says of errors changes
 FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
 LEVEL = 0.01  # of all inputs together: a name that is none is worse than one left out
+REDRAWN = 999  # times errors of prediction are drawn anew, to see whether an input is still switched at a level
 ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its unit makes it
 
 
@@ -41,11 +44,13 @@ def answering(fit: QuasiFit, series: Series) -> list[str]:
     path = moment_path(model, np.asarray(fit.theta), series)
     root = whitening(path.S, series.observed)
     errors = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    sd = np.sqrt(np.diagonal(path.S, axis1=1, axis2=2))[rows]
+    expected = (series.y - path.innovations)[rows]
     level = LEVEL / len(model.inputs)
     return [
         name
         for name, u in zip(model.inputs, series.u[rows].T, strict=True)
-        if foretold(u, errors[rows]) < level
+        if foretold(u, errors[rows]) < level or switched(u, series.y[rows], expected, sd) < level
     ]
 
 
@@ -118,6 +123,41 @@ def foretold(u: Array, errors: Array) -> float:
     return float(min(1.0, p * len(moved) * len(FADING) * errors.shape[1]))
 
 
+def switched(u: Array, y: Array, expected: Array, sd: Array) -> float:
+    """p-value of an input (T,) of two levels being switched as it is whatever the errors of y (T, ny).
+
+    Errors are drawn anew about what was ``expected`` (T, ny), with their ``sd`` (T, ny). What counts is how
+    many rows are on the wrong side of the levels at which the input is switched on and off.
+    """
+    levels = np.unique(u)
+    if len(levels) != 2:
+        return 1.0
+    on, least, rng = u == levels[1], 1 + REDRAWN, np.random.default_rng(0)
+    for k in range(y.shape[1]):
+        seen = np.flatnonzero(np.isfinite(y[1:, k])) + 1
+        before, turns = on[seen - 1], on[seen] != on[seen - 1]
+        found = _wrong_side(y[seen, k], before, turns)
+        mean, spread = expected[seen, k], sd[seen, k]
+        draws = (mean + spread * rng.standard_normal(len(mean)) for _ in range(REDRAWN))
+        as_good = [_wrong_side(one, before, turns) <= found for one in draws]
+        least = min(least, 1 + sum(as_good))
+    return float(min(1.0, least * y.shape[1] / (1 + REDRAWN)))
+
+
+def _wrong_side(values: Array, before: NDArray[np.bool_], turns: NDArray[np.bool_]) -> int:
+    """How many of ``values`` (n,) are on the wrong side of the levels that best part those that turn.
+
+    Of those that were on ``before`` it is one level, of the others another.
+    """
+    wrong = 0
+    for side in (before, np.logical_not(before)):
+        turned = turns[side][np.argsort(values[side])]
+        steps = np.where(turned, 1, -1)
+        below = np.cumsum(np.concatenate([[np.count_nonzero(~turned)], steps]))
+        wrong += int(min(below.min(), len(turned) - below.max()))
+    return wrong
+
+
 def _left(y: Array, *known: Array) -> Array:
     """What is left of y (n,) or (n, k) beside what is known (n,) or (n, .), in any units, by least squares."""
     X = np.column_stack(known)
@@ -146,7 +186,8 @@ def _after(part: Array, fading: float) -> Array:
 def told(names: Sequence[str], inputs: Sequence[str]) -> str:
     """A sentence on effects that were set aside."""
     return (
-        f"The record seems to be one in closed loop: past errors of prediction foretell {', '.join(inputs)}. "
+        "The record seems to be one in closed loop: errors of prediction of the readings say something of "
+        f"{', '.join(inputs)}. "
         "What compares a reading with the input of its own row cannot be told from a controller that saw this "
         f"reading, and was left out: {', '.join(names)}. To look for it, record with an input that is given "
         "from outside."
