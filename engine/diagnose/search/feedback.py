@@ -31,7 +31,7 @@ RANGES, IN_RANGE = 6, 40  # of an input, at most, and rows in each, at least
 CLOCK = 3  # powers of time by which what an input says of errors changes
 FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
 LEVEL = 0.01  # of all inputs together: a name that is none is worse than one left out
-REDRAWN = 999  # times errors of prediction are drawn anew, to see whether an input is still switched at a level
+SHUFFLED = 999  # times errors of prediction are shuffled: is an input still switched at a level?
 ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its unit makes it
 
 
@@ -126,22 +126,23 @@ def foretold(u: Array, errors: Array) -> float:
 def switched(u: Array, y: Array, expected: Array, sd: Array) -> float:
     """p-value of an input (T,) of two levels being switched as it is whatever the errors of y (T, ny).
 
-    Errors are drawn anew about what was ``expected`` (T, ny), with their ``sd`` (T, ny). What counts is how
-    many rows are on the wrong side of the levels at which the input is switched on and off.
+    Errors about what was ``expected`` (T, ny), by their ``sd`` (T, ny), are shuffled. What counts is how many
+    rows are on the wrong side of the levels at which the input is switched on and off.
     """
     levels = np.unique(u)
     if len(levels) != 2:
         return 1.0
-    on, least, rng = u == levels[1], 1 + REDRAWN, np.random.default_rng(0)
+    on, least, rng = u == levels[1], 1 + SHUFFLED, np.random.default_rng(0)
     for k in range(y.shape[1]):
         seen = np.flatnonzero(np.isfinite(y[1:, k])) + 1
         before, turns = on[seen - 1], on[seen] != on[seen - 1]
         found = _wrong_side(y[seen, k], before, turns)
         mean, spread = expected[seen, k], sd[seen, k]
-        draws = (mean + spread * rng.standard_normal(len(mean)) for _ in range(REDRAWN))
+        errors = (y[seen, k] - mean) / spread
+        draws = (mean + spread * rng.permutation(errors) for _ in range(SHUFFLED))
         as_good = [_wrong_side(one, before, turns) <= found for one in draws]
         least = min(least, 1 + sum(as_good))
-    return float(min(1.0, least * y.shape[1] / (1 + REDRAWN)))
+    return float(min(1.0, least * y.shape[1] / (1 + SHUFFLED)))
 
 
 def _wrong_side(values: Array, before: NDArray[np.bool_], turns: NDArray[np.bool_]) -> int:

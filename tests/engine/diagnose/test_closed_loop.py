@@ -106,6 +106,19 @@ def test_a_thermostat_answers_and_a_switch_by_the_clock_does_not():
     )  # of more than two levels
 
 
+@pytest.mark.long
+def test_errors_smaller_than_is_thought_are_no_thermostat():
+    """About a cycle by the clock, errors as large as is thought would mix what the readings keep apart."""
+    values = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        u = (np.arange(300) % 20 < 10).astype(float)
+        expected = np.cumsum(np.where(np.roll(u, 1) > 0.0, 0.1, -0.1))[:, None]
+        y = expected + 0.05 * rng.standard_normal((300, 1))
+        values.append(switched(u, y, expected, np.full((300, 1), 0.5)))
+    assert sum(p < 0.01 for p in values) < 3
+
+
 def test_where_readings_are_missing_a_thermostat_still_answers():
     series = thermostat(1, True)
     expected, sd = errors_of(series)
