@@ -241,13 +241,17 @@ def _differences(
 ) -> tuple[Array, Array, str]:
     """Covariance (n, n) and relative errors (n,) from differences of the score alone, and no remark."""
     L = before = root_of_inverse(complete / GUESS)
+    found = score.information(score.x) if score.exact else None
+    guess = None if found is None else bounded(found, complete, NEXT_TO_NOTHING)
+    if guess is not None:
+        L = before = root_of_inverse(guess)
     for k in range(MOST_ROUNDS - 1):
         G = whitened_information(score, L, seeds[0])
         if not np.isfinite(G).all():  # noise has widened a direction to where no filter follows
             L = before
             break
         before, L = L, L @ symmetric_root(floored_inverse(G))
-        if k >= ROUNDS - 2 and np.linalg.eigvalsh(G)[0] > FLOOR:
+        if (k >= ROUNDS - 2 or guess is not None) and np.linalg.eigvalsh(G)[0] > FLOOR:
             break  # with little noise the data hold a millionth of the complete-data information
     every = np.array([whitened_information(score, L, which) for which in seeds])
     if not np.isfinite(every).all():

@@ -22,10 +22,26 @@ BENT = 0.05
 
 
 def whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:
-    """L' I L from central differences of the score along the columns of L, clipped to the bounds."""
+    """L' I L from central differences of the score along the columns of L, clipped to the bounds.
+
+    Where it is exact it is that of the log-likelihood, which is had for many parameters at once.
+    """
     ends, lengths = _ends(score, L, EXACT_REACH if score.exact else REACH_ERRORS)
+    if score.exact:
+        found = _by_values(score, L, ends, lengths)
+        if np.isfinite(found).all() and good_guess(found):
+            return found
     low, high = (np.array([score.at(x, which)[0] for x in side]) for side in ends)
     G: Array = (low - high) @ L / lengths.sum(axis=0)[:, None]
+    return 0.5 * (G + G.T)
+
+
+@np.errstate(divide="ignore", invalid="ignore")  # of a parameter at its bound
+def _by_values(score: Score, L: Array, ends: Array, lengths: Array) -> Array:
+    """L' I L as above, the score along each column by differences of log-likelihoods."""
+    points, step = ends[:, :, None], EVEN_NEARER * L.T
+    low, high = score.values(points + step) - score.values(points - step)
+    G: Array = (low - high) / (2.0 * EVEN_NEARER * lengths.sum(axis=0)[:, None])
     return 0.5 * (G + G.T)
 
 
@@ -57,13 +73,7 @@ def bend_of(score: Score, L: Array, held: Array | None = None) -> Array:
     # second differences of a value show half of the bend that differences of its slope do
     if not np.abs(2.0 * (second - first)).max() > BENT:  # nor where they are not finite
         return none
-    step = EVEN_NEARER * L.T
-    seen = []
-    for at, lengths in beside:
-        points = at[:, :, None]
-        low, high = score.values(points + step) - score.values(points - step)
-        G = (low - high) / (2.0 * EVEN_NEARER * lengths.sum(axis=0)[:, None])
-        seen.append(0.5 * (G + G.T))
+    seen = [_by_values(score, L, at, lengths) for at, lengths in beside]
     if not np.isfinite(seen).all():
         return none
     near, far = seen
