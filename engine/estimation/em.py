@@ -22,6 +22,7 @@ from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.other_maxima import about_other_maxima
 from engine.estimation.outcome import Outcome
+from engine.estimation.own_steps import about_own_steps
 from engine.estimation.particle_likelihood import likelihood_of
 from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
@@ -301,6 +302,7 @@ def remark(model: BaseModel, found: EmResult, all_series: Sequence[Series]) -> s
         told.append(about_clock(model, all_series))
         if found.outcome.success:
             told.append(about_predictions(model, found.theta, all_series))
+            told.append(about_own_steps(model, found.theta, found.free, all_series))
     return "".join(f" {said}" for said in told if said)
 
 

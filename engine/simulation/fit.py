@@ -27,6 +27,7 @@ from engine.simulation.free_run import (
     root_mean_squares,
     spread_of,
 )
+from engine.simulation.own_steps import about_own_free_runs
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
@@ -265,9 +266,8 @@ def fit_simulation(
     estimated = problem.names(problem.active)
     tied = problem.names(problem.active[found.tied[:k]])
     errors = np.sqrt(np.diag(covariance))
-    hardly = model.hardly_known(
-        theta, {name: float(errors[model.index(name)]) for name in estimated if name not in tied}
-    )
+    known = {name: float(errors[model.index(name)]) for name in estimated if name not in tied}
+    hardly = model.hardly_known(theta, known)
     faults = about_faults(model.outputs, model.inputs, listed, outliers=True)
     clock = about_clock(model, listed)
     if _run_away(runs):  # of a run that is nowhere near the data nothing more is to be said
@@ -282,6 +282,7 @@ def fit_simulation(
             faults,
             clock,
             about_free_runs(model, theta, listed, x1),
+            about_own_free_runs(problem, best.x, np.hstack([runs[0].a, runs[0].z]), known),
         ]
     return SimulationFit(
         model=model,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.estimation.expectation import parameter_scale
 from engine.filters.filter_steps import first_moments
+from engine.statespace.half_steps import step as step
 from engine.statespace.model import Array, MixedModel
 
 PROBE_POINTS = 12  # at which a rate is looked for
@@ -77,9 +77,9 @@ def feeding(
         shifted = points.x[k] + np.diag(points.scale)
         each = _next(model, theta, points, k, shifted, points.u[k]) - here
         change = np.fmax(change, np.abs(each).T)
-        for i, step in enumerate(points.u_scale):
+        for i, size_of_u in enumerate(points.u_scale):
             u = points.u[k].copy()
-            u[i] += step
+            u[i] += size_of_u
             more = _next(model, theta, points, k, points.x[k][None], u)[0]
             moved[:, i] = np.fmax(moved[:, i], np.abs(more - here))
         size = np.fmax(size, SMALL_SHARE * np.abs(here))
@@ -113,14 +113,6 @@ def _read(model: MixedModel, theta: Array, x: Array, u: Array, t: float) -> Arra
 
 def _next(model: MixedModel, theta: Array, points: Points, k: int, x: Array, u: Array) -> Array:
     return step(model, theta, x, u, float(points.t[k]), float(points.dt[k]))
-
-
-def step(model: MixedModel, theta: Array, x: Array, u: Any, t: Any, dt: Any) -> Array:
-    """Means (M, nx) one step after x (M, nx)."""
-    na = model.na
-    with np.errstate(all="ignore"):
-        f, A, _ = model.transition(np.ascontiguousarray(x[:, :na]), u, t, dt, model.record(theta))
-        return np.asarray(f + np.einsum("...ij,...j->...i", A, x[:, na:]))
 
 
 @dataclass(frozen=True)

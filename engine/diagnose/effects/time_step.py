@@ -14,17 +14,14 @@ import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds import Kind, at_any
-from engine.diagnose.effects.rates import step
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
+from engine.statespace.half_steps import halving_changes, two_halves
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 
 KIND, CHANNEL = "time-step", "dt"
-SHORTER = 1e-3  # of the step: over so short a time the state of a model with a real dt hardly moves
-HARDLY = 0.1  # of its move over the whole step
 SIZES = (0.8, 2.4)  # 2 of a scheme of first order, 4/3 of second order, 16/15 of fourth
-ROUNDING = 1e-6  # of its move: what two half-steps may differ by and be the same
 
 
 def _time_step(setting: Setting, channel: str, name: str) -> Effect:
@@ -35,8 +32,7 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
             f, A, Q = base.transition(a, u, t, dt, record)
-            half = base.transition(a, u, t, 0.5 * dt, record)[0]
-            twice = base.transition(half, u, t + 0.5 * dt, 0.5 * dt, record)[0]
+            twice = two_halves(base, a, u, t, dt, record)
             return f + np.reshape(own[0], (-1, 1)) * (twice - f), A, Q
 
         return on_base(base, split, dynamics=dynamics)
@@ -61,22 +57,9 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
 
 def _where(setting: Setting) -> Iterator[str]:
     """Where dt is a real time step, and halving it changes something."""
-    model = setting.model
-    # those have no memory
-    others = ~np.isin([*model.nonlinear, *model.linear], model.scale_states)
-    points, theta = setting.points(model)
-    moves, short, halves = [], [], []
-    for x, u, t, dt in zip(points.x, points.u, points.t, points.dt / setting.substeps, strict=True):
-        here = x[None]
-        whole = step(model, theta, here, u, t, dt)
-        half = step(model, theta, here, u, t, 0.5 * dt)
-        moves.append(whole - here)
-        halves.append(step(model, theta, half, u, t + 0.5 * dt, 0.5 * dt) - whole)
-        short.append(step(model, theta, here, u, t, SHORTER * dt) - here)
-    whole, little, change = (
-        np.sqrt(np.mean(np.square(x), axis=0))[0, others] for x in (moves, short, halves)
-    )
-    if (little <= HARDLY * whole).all() and (change > ROUNDING * whole).any():
+    points, theta = setting.points(setting.model)
+    dt = points.dt / setting.substeps
+    if halving_changes(setting.model, theta, points.x, points.u, points.t, dt):
         yield CHANNEL
 
 

@@ -31,6 +31,7 @@ from engine.distributions import student_quantile
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.outcome import Outcome
+from engine.estimation.own_steps import about_own_steps
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.at_bounds import pressed_onto_bounds, said_of_bounds
 from engine.estimation.uncertainty.observed_result import StandardErrors
@@ -220,6 +221,12 @@ def standard_errors(
         _said_of_stopped(beyond),
         _said_of_noise(relative),
     )
+    said_so_far = " ".join(
+        filter(None, sentences)
+    )  # what it quotes of an estimation may say the same
+    note = about_predictions(model, theta, all_series) or about_own_steps(
+        model, theta, names, all_series
+    )
     return StandardErrors(
         model=model,
         theta=theta,
@@ -230,8 +237,8 @@ def standard_errors(
         relative_error=relative,
         decrement=decrement,
         settled=settled,
-        warning=" ".join(filter(None, sentences)),
-        note=about_predictions(model, theta, all_series),
+        warning=said_so_far,
+        note="" if note in said_so_far else note,
         tied=tuple(together),
     )
 
