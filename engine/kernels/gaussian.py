@@ -55,10 +55,15 @@ def is_impossible(S):
 
     In any units: it is one where S + NEGATIVE diag(S) has a Cholesky factor. What is not finite is not judged.
     """
+    return has_no_root(S, np.empty(S.shape))
+
+
+@njit(cache=True, error_model="numpy")
+def has_no_root(S, L):
+    """:func:`is_impossible`; L (n, n) is overwritten."""
     n = S.shape[0]
     if n == 1:
         return S[0, 0] < 0.0
-    L = np.empty((n, n))
     for j in range(n):
         d = S[j, j] * (1.0 + NEGATIVE)
         for k in range(j):

@@ -15,7 +15,7 @@ from numba import njit
 
 from engine.kernels.gaussian import (
     MEASURED,
-    is_impossible,
+    has_no_root,
     log_normalizer,
     psd_cholesky_into,
     solve_lower_transposed,
@@ -39,19 +39,22 @@ def sigma_points(m, P, na):
     K, nx = m.shape
     nz = nx - na
     S = 2 * na + 1
-    spread, _ = spread_of(na)
     a = np.empty((K, S, na))
     z = np.empty((K, S, nz))
     V = np.empty((K, nz, nz))
-    offsets = np.zeros((K, na, nx))
-    Paa = np.empty((na, na))
-    L = np.empty((na, na))
-    W = np.empty((na, nz))
+    offsets = np.empty((K, na, nx))
+    sigma_points_into(m, P, a, z, V, offsets, np.empty((na, na)), np.empty((na, nz)))
+    return a, z, V, offsets
+
+
+@njit(cache=True, error_model="numpy")
+def sigma_points_into(m, P, a, z, V, offsets, L, W):
+    """:func:`sigma_points` into what is there; L (na, na) and W (na, nz) are overwritten."""
+    K, S, na = a.shape
+    nz = z.shape[2]
+    spread, _ = spread_of(na)
     for k in range(K):
-        for i in range(na):
-            for j in range(na):
-                Paa[i, j] = P[k, i, j]
-        psd_cholesky_into(Paa, L)
+        psd_cholesky_into(P[k], L)
         for c in range(nz):
             for i in range(na):
                 s = P[k, i, na + c]
@@ -76,7 +79,6 @@ def sigma_points(m, P, na):
                 a[k, s_, j] = m[k, j] + (sign * offsets[k, i, j] if s_ > 0 else 0.0)
             for c in range(nz):
                 z[k, s_, c] = m[k, na + c] + (sign * offsets[k, i, na + c] if s_ > 0 else 0.0)
-    return a, z, V, offsets
 
 
 @njit(cache=True, error_model="numpy")
@@ -88,45 +90,70 @@ def transform(f, A, Q, z, V, offsets, na):
     """
     K, S, nz = z.shape
     n = f.shape[1]
-    nx = na + nz
+    mean = np.empty((K, n))
+    cov = np.empty((K, n, n))
+    cross = np.empty((K, n, na + nz))
+    own = np.empty((S, n)), np.empty((n, nz)), np.empty((n, n)), np.empty((n, n))
+    transform_into(f, A, Q, z, V, offsets, mean, cov, cross, own)
+    return mean, cov, cross
+
+
+@njit(cache=True, error_model="numpy")
+def transform_into(f, A, Q, z, V, offsets, mean, cov, cross, own):
+    """:func:`transform` into what is there; ``own`` (S, n), (n, nz) and (n, n) twice are overwritten.
+
+    Points of one filter seldom differ in their matrices, whose products are found once where they do not.
+    """
+    K, S, nz = z.shape
+    n = f.shape[1]
+    na, nx = offsets.shape[1:]
     _, outer = spread_of(na)
-    mean = np.zeros((K, n))
-    cov = np.zeros((K, n, n))
-    cross = np.zeros((K, n, nx))
-    value = np.empty((S, n))
-    AV = np.empty((n, nz))
-    lost = Q.shape[0] == 1 and is_impossible(Q[0])
+    value, AV, each, root = own
+    common = A.shape[0] == 1 and Q.shape[0] == 1
+    A_each, Q_each = int(A.shape[0] > 1), int(Q.shape[0] > 1)
+    mean[:], cov[:], cross[:] = 0.0, 0.0, 0.0
+    lost = Q.shape[0] == 1 and has_no_root(Q[0], root)
     for k in range(K):
         for s in range(S):
             row = k * S + s
             weight = outer if s > 0 else 1.0 - 2.0 * na * outer
-            As = A[row if A.shape[0] > 1 else 0]
-            Qs = Q[row if Q.shape[0] > 1 else 0]
+            own_A, own_Q = row * A_each, row * Q_each
             for i in range(n):
                 v = f[row, i]
                 for c in range(nz):
-                    v += As[i, c] * z[k, s, c]
+                    v += A[own_A, i, c] * z[k, s, c]
                 value[s, i] = v
                 mean[k, i] += weight * v
-            if lost or (Q.shape[0] > 1 and is_impossible(Qs)):
-                value[s], mean[k] = np.nan, np.nan
-            if s > 0 and A.shape[0] == 1 and Q.shape[0] == 1:
+            new_Q = s == 0 or (Q_each and not _as_before(Q, row))
+            new_A = s == 0 or (A_each and not _as_before(A, row))
+            if new_Q and Q_each:
+                lost = has_no_root(Q[row], root)
+            if lost:
+                for i in range(n):
+                    value[s, i], mean[k, i] = np.nan, np.nan
+            if s > 0 and common:
                 continue  # common matrices: their share was added with weight 1 at s = 0
-            if A.shape[0] == 1 and Q.shape[0] == 1:
+            if common:
                 weight = 1.0
+            if new_A:
+                for i in range(n):
+                    for c in range(nz):
+                        v = 0.0
+                        for d in range(nz):
+                            v += A[own_A, i, d] * V[k, d, c]
+                        AV[i, c] = v
+            if new_A or new_Q:
+                for i in range(n):
+                    for j in range(n):
+                        v = Q[own_Q, i, j]
+                        for c in range(nz):
+                            v += AV[i, c] * A[own_A, j, c]
+                        each[i, j] = v
             for i in range(n):
                 for c in range(nz):
-                    v = 0.0
-                    for d in range(nz):
-                        v += As[i, d] * V[k, d, c]
-                    AV[i, c] = v
-                    cross[k, i, na + c] += weight * v
-            for i in range(n):
+                    cross[k, i, na + c] += weight * AV[i, c]
                 for j in range(n):
-                    v = Qs[i, j]
-                    for c in range(nz):
-                        v += AV[i, c] * As[j, c]
-                    cov[k, i, j] += weight * v
+                    cov[k, i, j] += weight * each[i, j]
         for s in range(S):
             weight = outer if s > 0 else 1.0 - 2.0 * na * outer
             for i in range(n):
@@ -137,7 +164,16 @@ def transform(f, A, Q, z, V, offsets, na):
                 slope = outer * (value[1 + 2 * i, r] - value[2 + 2 * i, r])
                 for c in range(nx):
                     cross[k, r, c] += slope * offsets[k, i, c]
-    return mean, cov, cross
+
+
+@njit(cache=True, error_model="numpy")
+def _as_before(matrices, row):
+    """Whether a matrix (., n, m) is the one before it, number for number."""
+    for i in range(matrices.shape[1]):
+        for j in range(matrices.shape[2]):
+            if matrices[row, i, j] != matrices[row - 1, i, j]:
+                return False
+    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -147,41 +183,75 @@ def gaussian_update(m, P, y_mean, S, cross, y):
     Returns the new m, P, and log N(y; y_mean, S) (K,).
     """
     K, nx = m.shape
-    channels = np.flatnonzero(~np.isnan(y))
-    n = channels.size
-    m_new = m.copy()
-    P_new = P.copy()
-    log_p = np.zeros(K)
-    Sk = np.empty((n, n))
-    L = np.empty((n, n))
-    W = np.empty((n, nx))
-    r = np.empty(n)
-    slack = np.empty(n)
-    v = np.empty(n)
+    n = y.size
+    m_new, P_new, log_p = m.copy(), P.copy(), np.empty(K)
+    own = np.empty((n, n)), np.empty((n, n)), np.empty((n, nx)), np.empty((3, n))
+    gaussian_update_into(m_new, P_new, y_mean, S, cross, y, log_p, own)
+    return m_new, P_new, log_p
+
+
+@njit(cache=True, error_model="numpy")
+def gaussian_update_into(m, P, y_mean, S, cross, y, log_p, own):
+    """:func:`gaussian_update` in place, with log_p (K,) filled.
+
+    ``own`` (ny, ny) twice, (ny, nx) and (3, ny) are overwritten.
+    """
+    K, nx = m.shape
+    n = 0
+    for i in range(y.size):
+        n += not np.isnan(y[i])
+    # of the channels that are there
+    Sk, L, W, rows = own[0][:n, :n], own[1][:n, :n], own[2], own[3]
+    r, slack, v = rows[0, :n], rows[1, :n], rows[2, :n]
     for k in range(K):
-        for p in range(n):
-            r[p] = y[channels[p]] - y_mean[k, channels[p]]
-            slack[p] = MEASURED * (abs(y[channels[p]]) + abs(y_mean[k, channels[p]]))
-            for q in range(n):
-                Sk[p, q] = S[k, channels[p], channels[q]]
+        p = 0
+        for i in range(y.size):
+            if np.isnan(y[i]):
+                continue
+            r[p] = y[i] - y_mean[k, i]
+            slack[p] = MEASURED * (abs(y[i]) + abs(y_mean[k, i]))
+            q = 0
+            for j in range(y.size):
+                if not np.isnan(y[j]):
+                    Sk[p, q] = S[k, i, j]
+                    q += 1
+            for c in range(nx):
+                W[p, c] = cross[k, i, c]
+            p += 1
         psd_cholesky_into(Sk, L)
         possible = whiten(L, r, slack, v)
-        log_p[k] = log_normalizer(L, L.shape[0]) if possible else -np.inf
+        log_p[k] = log_normalizer(L, n) if possible else -np.inf
         for p in range(n):
             log_p[k] -= 0.5 * v[p] * v[p]
         for c in range(nx):
             for p in range(n):
-                s = cross[k, channels[p], c]
+                s = W[p, c]
                 for q in range(p):
                     s -= L[p, q] * W[q, c]
                 W[p, c] = s / L[p, p] if L[p, p] > 0.0 else 0.0
         for i in range(nx):
             for p in range(n):
-                m_new[k, i] += W[p, i] * v[p]
+                m[k, i] += W[p, i] * v[p]
             for j in range(nx):
                 for p in range(n):
-                    P_new[k, i, j] -= W[p, i] * W[p, j]
-    return m_new, P_new, log_p
+                    P[k, i, j] -= W[p, i] * W[p, j]
+
+
+@njit(cache=True, error_model="numpy")
+def room_for(K, S, na, nx, ny):
+    """What :func:`observe` and :func:`predict` write into and leave: room is found once for all time steps.
+
+    Roots of points; values, products and a root of each transform; what an update needs; mean of y_t,
+    Cov(y_t, x_t) and Cov(x_{t+1}, x_t).
+    """
+    nz = nx - na
+    return (
+        (np.empty((na, na)), np.empty((na, nz))),
+        (np.empty((S, ny)), np.empty((ny, nz)), np.empty((ny, ny)), np.empty((ny, ny))),
+        (np.empty((S, nx)), np.empty((nx, nz)), np.empty((nx, nx)), np.empty((nx, nx))),
+        (np.empty((ny, ny)), np.empty((ny, ny)), np.empty((ny, nx)), np.empty((3, ny))),
+        (np.empty((K, ny)), np.empty((K, ny, nx)), np.empty((K, nx, nx))),
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -191,26 +261,36 @@ def observe(t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
     h, C, R at the points a, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
     (T, K, ny, ny) and ``log_p`` (T, K) are filled. Returns Cov(y_t, x_t) (K, ny, nx).
     """
-    na = a.shape[2]
-    y_mean, S_t, cross = transform(h, C, R, z, V, offsets, na)
-    m_new, P_new, log_p_t = gaussian_update(m, P, y_mean, S_t, cross, y[t])
-    innovations[t], S[t], log_p[t] = y[t] - y_mean, S_t, log_p_t
-    _renew(m_new, P_new, a, z, V, offsets, m, P)
+    room = room_for(*a.shape, m.shape[1], y.shape[1])
+    return observe_in(room, t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p)
+
+
+@njit(cache=True, error_model="numpy")
+def observe_in(room, t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
+    """:func:`observe` in a :func:`room_for` it."""
+    y_mean, cross, _ = room[4]
+    transform_into(h, C, R, z, V, offsets, y_mean, S[t], cross, room[1])
+    gaussian_update_into(m, P, y_mean, S[t], cross, y[t], log_p[t], room[3])
+    for k in range(m.shape[0]):
+        for i in range(y.shape[1]):
+            innovations[t, k, i] = y[t, i] - y_mean[k, i]
+    sigma_points_into(m, P, a, z, V, offsets, *room[0])
     return cross
 
 
 @njit(cache=True, error_model="numpy")
 def predict(f, A, Q, a, z, V, offsets, m, P):
     """One step ahead: :func:`transform` and the new :func:`sigma_points`, in place; Cov(x_{t+1}, x_t)."""
-    m_new, P_new, cross = transform(f, A, Q, z, V, offsets, a.shape[2])
-    _renew(m_new, P_new, a, z, V, offsets, m, P)
-    return cross
+    return predict_in(room_for(*a.shape, m.shape[1], 0), f, A, Q, a, z, V, offsets, m, P)
 
 
 @njit(cache=True, error_model="numpy")
-def _renew(m_new, P_new, a, z, V, offsets, m, P):
-    m[:], P[:] = m_new, P_new
-    a[:], z[:], V[:], offsets[:] = sigma_points(m, P, a.shape[2])
+def predict_in(room, f, A, Q, a, z, V, offsets, m, P):
+    """:func:`predict` in a :func:`room_for` it."""
+    cross = room[4][2]
+    transform_into(f, A, Q, z, V, offsets, m, P, cross, room[2])
+    sigma_points_into(m, P, a, z, V, offsets, *room[0])
+    return cross
 
 
 @njit(cache=True, error_model="numpy")

@@ -43,97 +43,98 @@ def go_through(tape, links, W, lost):
     M = W.shape[1]
     for line in range(tape.shape[0]):
         code = tape[line, 0]
-        x, y, z, out = W[tape[line, 1]], W[tape[line, 2]], W[tape[line, 3]], W[tape[line, 4]]
+        # rows by their numbers: a view of each, counted wherever it goes, takes longer than the operation
+        x, y, z, out = tape[line, 1], tape[line, 2], tape[line, 3], tape[line, 4]
         if code <= WHERE:
             if code == ADD:
                 for m in range(M):
-                    out[m] = x[m] + y[m]
+                    W[out, m] = W[x, m] + W[y, m]
             elif code == SUBTRACT:
                 for m in range(M):
-                    out[m] = x[m] - y[m]
+                    W[out, m] = W[x, m] - W[y, m]
             elif code == MULTIPLY:
                 for m in range(M):
-                    out[m] = x[m] * y[m]
+                    W[out, m] = W[x, m] * W[y, m]
             elif code == TRUE_DIVIDE:
                 for m in range(M):
-                    out[m] = x[m] / y[m]
+                    W[out, m] = W[x, m] / W[y, m]
             elif code == NEGATIVE:
                 for m in range(M):
-                    out[m] = -x[m]
+                    W[out, m] = -W[x, m]
             elif code == POWER:
                 for m in range(M):
-                    out[m] = x[m] ** y[m]
+                    W[out, m] = W[x, m] ** W[y, m]
             elif code == SQUARE:
                 for m in range(M):
-                    out[m] = x[m] * x[m]
+                    W[out, m] = W[x, m] * W[x, m]
             elif code == SQRT:
                 for m in range(M):
-                    out[m] = math.sqrt(x[m]) if x[m] >= 0.0 else np.nan
+                    W[out, m] = math.sqrt(W[x, m]) if W[x, m] >= 0.0 else np.nan
             elif code == EXP:
                 for m in range(M):
-                    out[m] = np.exp(x[m])
+                    W[out, m] = np.exp(W[x, m])
             elif code == LOG:
                 for m in range(M):
-                    out[m] = np.log(x[m])
+                    W[out, m] = np.log(W[x, m])
             elif code == SIN:
                 for m in range(M):
-                    out[m] = np.sin(x[m])
+                    W[out, m] = np.sin(W[x, m])
             elif code == COS:
                 for m in range(M):
-                    out[m] = np.cos(x[m])
+                    W[out, m] = np.cos(W[x, m])
             elif code == TANH:
                 for m in range(M):
-                    out[m] = np.tanh(x[m])
+                    W[out, m] = np.tanh(W[x, m])
             elif code == ABSOLUTE:
                 for m in range(M):
-                    out[m] = abs(x[m])
+                    W[out, m] = abs(W[x, m])
             elif code == SIGN:
                 for m in range(M):
-                    out[m] = np.sign(x[m])
+                    W[out, m] = np.sign(W[x, m])
             elif code == MAXIMUM:
                 for m in range(M):
-                    out[m] = np.maximum(x[m], y[m])
+                    W[out, m] = np.maximum(W[x, m], W[y, m])
             elif code == MINIMUM:
                 for m in range(M):
-                    out[m] = np.minimum(x[m], y[m])
+                    W[out, m] = np.minimum(W[x, m], W[y, m])
             else:
                 for m in range(M):
-                    out[m] = y[m] if x[m] != 0.0 else z[m]
+                    W[out, m] = W[y, m] if W[x, m] != 0.0 else W[z, m]
         elif code <= LOGICAL_NOT:
             for m in range(M):
                 if code == LESS:
-                    true = x[m] < y[m]
+                    true = W[x, m] < W[y, m]
                 elif code == LESS_EQUAL:
-                    true = x[m] <= y[m]
+                    true = W[x, m] <= W[y, m]
                 elif code == GREATER:
-                    true = x[m] > y[m]
+                    true = W[x, m] > W[y, m]
                 elif code == GREATER_EQUAL:
-                    true = x[m] >= y[m]
+                    true = W[x, m] >= W[y, m]
                 elif code == EQUAL:
-                    true = x[m] == y[m]
+                    true = W[x, m] == W[y, m]
                 elif code == NOT_EQUAL:
-                    true = x[m] != y[m]
+                    true = W[x, m] != W[y, m]
                 elif code == LOGICAL_AND:
-                    true = x[m] != 0.0 and y[m] != 0.0
+                    true = W[x, m] != 0.0 and W[y, m] != 0.0
                 elif code == LOGICAL_OR:
-                    true = x[m] != 0.0 or y[m] != 0.0
+                    true = W[x, m] != 0.0 or W[y, m] != 0.0
                 else:
-                    true = x[m] == 0.0
-                out[m] = 1.0 if true else 0.0
+                    true = W[x, m] == 0.0
+                W[out, m] = 1.0 if true else 0.0
         elif code == CHECK_FINITE:
             for m in range(M):
-                if not (math.isfinite(x[m]) or _is_lost(m, W, lost)):
+                if not (math.isfinite(W[x, m]) or _is_lost(m, W, lost)):
                     return False
-                out[m] = x[m]
+                W[out, m] = W[x, m]
         elif code >= HOLDS:
             for m in range(M):
-                if (x[m] != 0.0) != (code == HOLDS) and not _is_lost(m, W, lost):
+                if (W[x, m] != 0.0) != (code == HOLDS) and not _is_lost(m, W, lost):
                     return False
         elif code == OVER_A_STEP:
             _over_a_step(links[tape[line, 1]], W)
         else:
             for m in range(M):
-                out[m] = _seldom(code, x[m], y[m])
+                W[out, m] = _seldom(code, W[x, m], W[y, m])
     return True
 
 
@@ -279,14 +280,17 @@ def evaluate(tape, links, W, places, into, a, u, t, dt):
     for i in range(na):
         for m in range(M):
             W[i, m] = a[m, i]
-    for j in range(u.size):
-        W[na + j, :] = u[j]
-    W[na + u.size, :], W[na + u.size + 1, :] = t, dt
+    for m in range(M):
+        for j in range(u.size):
+            W[na + j, m] = u[j]
+        W[na + u.size, m], W[na + u.size + 1, m] = t, dt
     lost = np.zeros(M, dtype=np.bool_)
     if not go_through(tape, links, W, (na, lost)):
         return False
-    for j in range(3):
-        _put(places[j], W, into[j])
-    for row in np.flatnonzero(lost):
-        into[0][row] = np.nan
+    _put(places[0], W, into[0])
+    _put(places[1], W, into[1])
+    _put(places[2], W, into[2])
+    for row in range(M):
+        if lost[row]:
+            into[0][row] = np.nan
     return True

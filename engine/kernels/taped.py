@@ -8,8 +8,9 @@ from numba import njit
 from engine.kernels.moments import (
     gaussian_update,
     keep_reading,
-    observe,
-    predict,
+    observe_in,
+    predict_in,
+    room_for,
     sigma_points,
     slopes,
     transform,
@@ -37,6 +38,7 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
     K, points, na = a.shape
     rows = a.reshape(K * points, na)
     nothing = np.zeros((1, m.shape[1], z.shape[2]))
+    room = room_for(K, points, na, m.shape[1], y.shape[1])
     keeps = predicted.shape[0] > 0
     for k in range(len(y)):
         if visited[0].shape[0]:
@@ -45,7 +47,7 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
             return False
         if keeps:
             predicted[k], P_predicted[k] = m[0], P[0]
-        cross = observe(k, h, C, R, a, z, V, offsets, m, P, y, innovations, S, terms)
+        cross = observe_in(room, k, h, C, R, a, z, V, offsets, m, P, y, innovations, S, terms)
         if keeps:
             filtered[k], P_filtered[k] = m[0], P[0]
             keep_reading(k, cross[0], S[k, 0], y[k], moments, gains)
@@ -57,11 +59,11 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
             again, Q_1 = np.empty((K * points, m.shape[1])), np.empty((K * points, *P.shape[1:]))
             for row in range(K * points):
                 again[row], Q_1[row] = start[0][row // points], start[1][row // points]
-            cross = predict(again, nothing, Q_1, a, z, V, offsets, m, P)
+            cross = predict_in(room, again, nothing, Q_1, a, z, V, offsets, m, P)
         else:
             if not evaluate(tape_x, links_x, W_x, places_x, flat_x, rows, u_step[k], t[k], dt[k]):
                 return False
-            cross = predict(f, A, Q, a, z, V, offsets, m, P)
+            cross = predict_in(room, f, A, Q, a, z, V, offsets, m, P)
         if keeps:
             gains[2][k] = slopes(cross[0], P_filtered[k])
     return True
