@@ -282,11 +282,16 @@ def along_path(
 
 
 def _rows(matrix: Array, n: int, S: int) -> Array:
-    """(1, ., .) where common to all points, else (n S, ., .)."""
+    """(1, ., .) where common to all points, else (n S, ., .).
+
+    Of one kind, whoever made them: a kernel is compiled anew for what may not be written into.
+    """
     shape = matrix.shape[2:]
     if matrix.shape[:2] == (1, 1):
-        return np.ascontiguousarray(matrix[0])
-    return np.ascontiguousarray(np.broadcast_to(matrix, (n, S, *shape))).reshape(n * S, *shape)
+        return np.require(matrix[0], requirements=["C", "W"])
+    if matrix.shape[:2] != (n, S):
+        matrix = np.broadcast_to(matrix, (n, S, *shape))
+    return np.require(matrix, requirements=["C", "W"]).reshape(n * S, *shape)
 
 
 def _dynamic_columns(

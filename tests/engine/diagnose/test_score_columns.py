@@ -64,3 +64,16 @@ def test_a_step_that_shows_nothing_or_loses_the_filter_is_changed_first():
     assert score_columns._next_step((1e-3, np.nan), None) < 1e-3
     # what was seen before a lost filter tells no power
     assert score_columns._next_step((1e-5, 0.01), (1e-3, np.inf)) == pytest.approx(0.5e-5)
+
+
+@pytest.mark.parametrize("given", [(1, 1), (4, 1), (1, 3), (4, 3)])
+@pytest.mark.parametrize("writeable", [True, False])
+def test_matrices_are_of_one_kind_whoever_made_them(given, writeable):
+    """A kernel is compiled for each: seconds, in the middle of a diagnosis."""
+    matrix = np.random.default_rng(0).standard_normal((*given, 2, 2))
+    matrix.flags.writeable = writeable
+    rows = score_columns._rows(matrix, 4, 3)
+    assert rows.flags.c_contiguous
+    assert rows.flags.writeable
+    whole = np.broadcast_to(matrix, (4, 3, 2, 2)).reshape(12, 2, 2)
+    np.testing.assert_array_equal(np.broadcast_to(rows, whole.shape), whole)
