@@ -261,7 +261,8 @@ def observe(t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
     h, C, R at the points a, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
     (T, K, ny, ny) and ``log_p`` (T, K) are filled. Returns Cov(y_t, x_t) (K, ny, nx).
     """
-    room = room_for(*a.shape, m.shape[1], y.shape[1])
+    K, points, na = a.shape
+    room = room_for(K, points, na, m.shape[1], y.shape[1])
     return observe_in(room, t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p)
 
 
@@ -281,7 +282,9 @@ def observe_in(room, t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_
 @njit(cache=True, error_model="numpy")
 def predict(f, A, Q, a, z, V, offsets, m, P):
     """One step ahead: :func:`transform` and the new :func:`sigma_points`, in place; Cov(x_{t+1}, x_t)."""
-    return predict_in(room_for(*a.shape, m.shape[1], 0), f, A, Q, a, z, V, offsets, m, P)
+    K, points, na = a.shape
+    room = room_for(K, points, na, m.shape[1], 0)
+    return predict_in(room, f, A, Q, a, z, V, offsets, m, P)
 
 
 @njit(cache=True, error_model="numpy")
