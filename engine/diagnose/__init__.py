@@ -303,6 +303,8 @@ def diagnose(  # noqa: PLR0913
         too_long = about_predictions(model, np.asarray(judged.before.theta), [shown])
         notes.extend([f"{too_long} {FOR_ESTIMATES}"] if too_long else [])
     fitted_last = judged.after if judged.causes else causes.base
+    if judged.gain is not None and judged.gain.noise_of_all:
+        fitted_last = judged.search.final
     if not (judged.causes and has_tails(judged.search)):
         notes.extend(filter(None, [about_own_steps(fitted_last, searched, causes.setting)]))
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes))

@@ -47,6 +47,8 @@ NOISE_OF_ALL = ", with the noise of both fitted to them, too"
 class Judged:
     """The answer after held-out data were asked: verdict, causes, fits ``before`` and ``after`` extending.
 
+    Their noise is that of all records where the ``gain`` says so, and so not that of the ``search``.
+
     ``search`` is the likelihood's, without members of a set that were contradicted; ``notes`` say what was.
     """
 
@@ -116,8 +118,6 @@ class HeldOut:
         if verdict in NAMES:
             left = narrowed(search, self._asked, partial(self._settled, found.setting), progress)
             search, gain = left.search, left.gain
-            if gain is not None and gain.noise_of_all:
-                search = self._with_noise_of_all(search)
             notes.extend(filter(None, (left.note, left.objection)))
             if left.objection or left.note:
                 verdict = Verdict.UNKNOWN if left.objection else names_of(search)
@@ -128,7 +128,8 @@ class HeldOut:
             text, contradicts = self._particle_word(found.base, search)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
-        base, final, said = search.base, search.final, tuple(notes)
+        fits = self._with_noise_of_all(search) if gain is not None and gain.noise_of_all else search
+        base, final, said = fits.base, fits.final, tuple(notes)
         return Judged(verdict, named_by(search), base, final, gain, search, asked, said)
 
     def _settled(self, setting: Setting, found: Round, refits: Sequence[Refit]) -> Round:
