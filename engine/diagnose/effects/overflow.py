@@ -67,7 +67,7 @@ def _overflow(setting: Setting, channel: str, name: str, source: str, target: st
         },
         held=(f"{name}_side",),
         one_sided=True,
-        traits=Traits(suits="store"),
+        traits=Traits(suits="store", odd=setting.is_temperature(source)),
     )
 
 

@@ -77,7 +77,7 @@ def _static(
             f"{formula.format(x=origin.text(source))}",
             extend=extend,
             look_alikes=look_alikes,
-            traits=traits,
+            traits=replace(traits, odd=friction and setting.is_no_speed(source)),
             **counted(*parameters),
         )
 

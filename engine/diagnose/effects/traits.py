@@ -41,7 +41,8 @@ class Traits:
     ``foreseen``: between which values its size is if it is the cause, where that is known before it is fitted.
     ``whole``: it is a delay whose size is the mean, and all of it, where it is there, is so late; its second
     parameter says how late its latest part is. ``bends``: it is looked for beside a drift that was found, which
-    is straight, and both are one cause.
+    is straight, and both are one cause. ``odd``: as far as units tell, nothing does this at such a channel, so
+    that any other effect is likelier beforehand.
     """
 
     course: Course | None = None
@@ -59,6 +60,7 @@ class Traits:
     foreseen: tuple[float, float] | None = None
     whole: bool = False
     bends: bool = False
+    odd: bool = False
 
     @property
     def alters(self) -> bool:

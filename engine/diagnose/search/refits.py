@@ -25,6 +25,7 @@ TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is th
 HOPE = 10.0  # a large effect is far away, where a search gains many times what it expects
 Way = Callable[[], Visited]  # called where it is needed
 
+UNLIKELIER = 4.0  # of the score, that an odd effect is behind beforehand: one to seven
 HOPELESS = 10.0  # of the score behind the best refit, from which another one is left for later
 
 
@@ -52,8 +53,12 @@ class Refit:
 
 
 def cost(effect: Effect, series: Series) -> float:
-    """What an effect's further parameters must gain before they count: log T each (Schwarz 1978)."""
-    return further_parameters(effect) * float(np.log(series.n_measured))
+    """What an effect's further parameters must gain before they count: log T each (Schwarz 1978).
+
+    One that is odd at its channel must be likelier by as much as it was less likely before the data.
+    """
+    odds = UNLIKELIER if effect.traits.odd else 0.0
+    return further_parameters(effect) * float(np.log(series.n_measured)) + odds
 
 
 def further_parameters(effect: Effect) -> int:

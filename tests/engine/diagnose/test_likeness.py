@@ -1,5 +1,6 @@
 """Which name stands for refits that say the same, and what is never left half-way."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search import likeness, refitting
+from engine.diagnose.search import refits as refits_of
 from engine.diagnose.search.likeness import NEEDED, TIE, distinct
 from engine.diagnose.search.rounds import settle
 from tests.engine.hidden_effects import DRIVE
@@ -144,3 +146,35 @@ def test_no_rival_within_reach_is_left_half_way(monkeypatch):
     assert max(found, key=lambda r: r.score).effect.name == "input-offset:force"
     assert taken == ["input-offset:force"]
     assert [r.fit.given_up for r in found] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("unit", "effect", "is_odd"),
+    [
+        ("m/s", "coulomb:speed", False),
+        ("rpm", "stribeck:speed", False),
+        ("counts/s", "coulomb:speed", False),  # nobody knows
+        ("", "coulomb:speed", False),
+        ("degC", "coulomb:speed", True),
+        ("V", "stribeck:speed", True),
+        ("degF", "overflow:speed", True),
+        ("m", "overflow:speed", False),
+        ("degC", "drag:speed", False),
+    ],
+)
+def test_what_nothing_does_at_such_a_channel_is_less_likely_beforehand(unit, effect, is_odd):
+    """Dry friction of a temperature; its size has a price, where others have none."""
+    model = replace(DRIVE, nonlinear={"speed": unit})
+    made, series = make_effect(effect, Setting(model)), SimpleNamespace(n_measured=100)
+    assert made.traits.odd == is_odd
+    price = refits_of.further_parameters(made) * np.log(100)
+    assert refits_of.cost(made, series) == pytest.approx(price + is_odd * refits_of.UNLIKELIER)
+
+
+def test_what_needs_a_time_constant_is_refitted_beside_what_leads():
+    """The screen sees the slope at none: of a sensor behind by twenty samples hardly anything."""
+    slow, path = (
+        make_effect(n, Setting(DRIVE)) for n in ("slow-sensor:reading", "path:force->speed")
+    )
+    assert refitting._look_alikes(slow, path)
+    assert not refitting._look_alikes(make_effect("bias:reading", Setting(DRIVE)), path)
