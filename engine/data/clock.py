@@ -172,7 +172,10 @@ def _step_in(dt: Any, unit: str) -> float:
     """A time step in a unit: a number, or a duration such as timedelta. Raises SeriesError."""
     if isinstance(dt, timedelta | np.timedelta64):
         return float(times_in(np.array([dt], dtype="timedelta64[ns]"), unit)[0])
-    if isinstance(dt, str) or np.ndim(dt):
+    if np.ndim(dt):
+        shape = " x ".join(map(str, np.shape(dt)))
+        raise SeriesError(f"dt has {shape} values; one positive number is needed. Times are t=")
+    if isinstance(dt, str):
         raise SeriesError(f"dt = {dt!r}; one positive number is needed")
     try:
         return float(dt)

@@ -107,3 +107,10 @@ def test_values_by_columns_are_kept_by_rows():
         assert values.flags.c_contiguous
     np.testing.assert_array_equal(series.y, table)
     np.testing.assert_array_equal(series.u, table[::-1])
+
+
+def test_times_in_the_place_of_a_step_are_told_where_they_go():
+    with pytest.raises(
+        SeriesError, match=r"dt has 5 values; one positive number is needed. Times are t="
+    ):
+        Series(np.zeros(5), np.zeros(5), np.arange(5.0))
