@@ -42,6 +42,11 @@ def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
     return bool(chi2_sf(square, count) > UNLIKELY)
 
 
+def starts_there(fit: QuasiFit, one: Series) -> bool:
+    """Whether a record begins as a fitted model lets expect."""
+    return begins_as_expected(fit.model, np.asarray(fit.theta), one)
+
+
 def anywhere(base: QuasiFit, extended: QuasiFit, searched: Series) -> tuple[QuasiFit, QuasiFit]:
     """Both fits with a first state of the model that may be anywhere that ``searched`` has been.
 

@@ -13,7 +13,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
-from engine.diagnose.first_states import anywhere, begins_as_expected
+from engine.diagnose.first_states import anywhere, starts_there
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
@@ -47,9 +47,8 @@ NOISE_OF_ALL = ", with the noise of both fitted to them, too"
 class Judged:
     """The answer after held-out data were asked: verdict, causes, fits ``before`` and ``after`` extending.
 
-    Their noise is that of all records where the ``gain`` says so, and so not that of the ``search``.
-
-    ``search`` is the likelihood's, without members of a set that were contradicted; ``notes`` say what was.
+    Their noise is that of all records where the ``gain`` says so. ``search`` is the likelihood's, without
+    members of a set that were contradicted; ``notes`` say what was.
     """
 
     verdict: Verdict
@@ -194,7 +193,8 @@ class HeldOut:
                 fair = None
             if fair is not None:
                 objection = falls_short(fair, self._promised(search, fair), FAIR_NOISE)
-        if objection and gain is not None:
+        noises = any(one.effect.family == "noise" for one in search.named)
+        if objection and gain is not None and not (gain.among or noises):
             return self._asked_with_noise_of_all(search, gain, objection)
         return gain, objection
 
@@ -204,7 +204,7 @@ class HeldOut:
         """The same with noise that is known from the held-out rows, too, where that leaves no objection.
 
         A model that leaves nothing to noise predicts worse for as long as anything else moves it, be its cause
-        right or not. One that is wrong predicts worse with any noise.
+        right or not. One that is wrong predicts worse with any noise. Not for a cause that is noise itself.
         """
         try:
             again = self._gain(self._with_noise_of_all(search))
@@ -223,22 +223,13 @@ class HeldOut:
     def _with_noise_of_all(self, search: Search) -> Search:
         """The search with the noise of its models fitted to what it has searched and the held-out rows."""
         records, pair = self.records, (search.base, search.final)
-        every = [records.main]
-        if not records.keeps_back:
-            known = (records.train, *records.others)
-            pasts = [past_of(test, known) for test in records.tests]
-            every = [
-                self.searched,
-                *(
-                    test if past is None else joined(past, test)
-                    for past, test in zip(pasts, records.tests, strict=True)
-                ),
-            ]
-            anew = [test for past, test in zip(pasts, records.tests, strict=True) if past is None]
-            if not all(
-                begins_as_expected(f.model, np.asarray(f.theta), t) for f in pair for t in anew
-            ):
-                pair = anywhere(*pair, records.train)
+        every, anew = [records.main if records.keeps_back else self.searched], list[Series]()
+        for test in records.tests:
+            past = past_of(test, (records.train, *records.others))
+            every.append(test if past is None else joined(past, test))
+            anew += [test] if past is None else []
+        if not all(starts_there(fit, test) for fit in pair for test in anew):
+            pair = anywhere(*pair, records.train)
         wide = replace(search, base=pair[0], final=pair[1])
         found = with_noise_of(every, wide, self.searched)
         return replace(

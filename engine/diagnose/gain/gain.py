@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from engine.data.joined import joined, past_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.first_states import anywhere, begins_as_expected
+from engine.diagnose.first_states import anywhere, starts_there
 from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
 from engine.diagnose.gain.simulation_gain import (
     DRAWN,
@@ -52,8 +52,8 @@ class Gain:
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
     (one-sided), ``p_loss`` of no loss. ``decision`` says whether they call for the extension
     (see :mod:`engine.diagnose.gain.adoption`). ``among``: the rows lie among those fitted to; ``noise_of_all``:
-    the noise of both models was fitted to them as well. For pictures:
-    times ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
+    the noise of both models was fitted to them as well. For pictures: times ``t``, readings ``y``, free runs
+    ``before`` and ``after`` (n, ny), differences ``d`` (n,).
     """
 
     how: str
@@ -112,9 +112,7 @@ def measure_gain(
         first = len(whole) - len(test)
         rows = np.arange(len(whole)) >= first
         pair = base, extended if past is not None or anew is None else anew
-        if past is None and not all(
-            begins_as_expected(fit.model, np.asarray(fit.theta), test) for fit in pair
-        ):
+        if past is None and records and not all(starts_there(fit, test) for fit in pair):
             pair = anywhere(*pair, records[0])
             elsewhere += 1
         scored.append(score([Trial(*pair, rows)], whole, first))
