@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from engine.diagnose.effects.traits import Traits
 from engine.diagnose.search import search
 
 ROWS = SimpleNamespace(n_measured=np.e**5)  # a further parameter costs 5
@@ -17,7 +18,7 @@ def one(name, score, gained, outliers=False):
         name=name,
         parameters=("size",),
         held=(),
-        traits=SimpleNamespace(outliers=outliers),
+        traits=Traits(outliers=outliers),
     )
     fit = SimpleNamespace(log_likelihood=0.5 * gained)
     refit = SimpleNamespace(effect=effect, score=score, gain=gained, fit=fit)
