@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.errors import EngineError, ModelError
 from engine.kernels.gaussian import any_impossible, impossible
-from engine.statespace.compare import Result, differ, sizes_of
+from engine.statespace.compare import Result, copies, differ, sizes_of
 from engine.statespace.model import Array, Gaussian, MixedModel
 from engine.statespace.shapes import ROUNDING, is_symmetric
 from engine.statespace.trial import UNREPEATED, UnrepeatedError, is_numeric
@@ -24,6 +24,7 @@ from engine.statespace.trial import UNREPEATED, UnrepeatedError, is_numeric
 TRIED_DRAWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
 TRIED_ROWS = 8  # rows of a series on which functions are tried
 STEPS_TRIED = (1.0, 1e-3, 1e-6, 1e-9)  # one after the other, without a series
+NO_TIME = 1e-9  # of a step: over it nothing moves
 BELOW = 1e-6  # of its size: so far below zero it is asked whether a parameter may be
 # what covariances are of, for errors
 STEP, READING, FIRST_A, FIRST_Z = (
@@ -209,7 +210,34 @@ def _check_functions(
         check_covariance(model, STEP, Q)
         check_covariance(model, READING, R)
         noises.append(R)
+        _check_step(model, record, a, (u, t, dt), (f, A))
     return noises
+
+
+def _check_step(
+    model: MixedModel, record: object, a: Array, at: tuple[Array, float, float], known: Result
+) -> None:
+    """Raise ModelError where a ``continuous`` model returns the same for no time at all, and moves by it.
+
+    A step of no length leaves the state where it is. What does not know how long it is, and moves every state,
+    is a rate: taken for the next state it is another model, with parameters far off and nothing said.
+    """
+    if not model.continuous or model.steps_counted:
+        return
+    known = copies(known)
+    (u, t, dt), z = at, model.start(record).linear(a)[0]
+    f, A, _ = model.transition(a, u, t, NO_TIME * dt, record)
+    if not all(np.array_equal(one, other) for one, other in zip((f, A), known, strict=True)):
+        return
+    x = np.hstack([a, z])
+    moved = np.abs(f + np.einsum("...ij,...j->...i", A, z) - x)
+    if np.isfinite(moved).all() and (moved > ROUNDING * np.abs(x)).any(axis=0).all():
+        raise ModelError(
+            f"model '{model.name}', dynamics: what it returns does not depend on dt, though continuous=True says "
+            "that steps may be shorter. It is to return the state after a step, not its rate of change: "
+            "a[:, 0] + dt * (...). Where the equations are rates, leave dt out and write "
+            "engine.continuous(drift=..., diffusion=...), which makes the steps."
+        )
 
 
 def _check_first(model: MixedModel, record: object, what: str) -> Array:

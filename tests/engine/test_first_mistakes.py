@@ -99,3 +99,50 @@ def test_an_effect_that_is_not_known():
     with pytest.raises(OptionError, match=r"'dely' is not known \(did you mean 'delay'\?\)"):
         engine.diagnose(level, series, effects=["dely"])
     assert meant("qqqq", ["delay"]) == ""
+
+
+def cooling(rate, **more):
+    """A cup that cools, by what ``rate`` makes of its temperature, its rate and the step."""
+
+    def dynamics(a, u, t, dt, theta):
+        return [rate(a[:, 0], -theta.k * (a[:, 0] - u[0]), dt)], np.zeros((1, 0)), [[1e-6]]
+
+    return engine.MixedModel(
+        "cup",
+        dynamics,
+        lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[0.01]]),
+        lambda theta: (engine.Gaussian([80.0], [[1.0]]), np.zeros(0), np.zeros((0, 0))),
+        {"y": "degC"},
+        [engine.Parameter("k", 0.01, "1/s", (1e-4, 1.0))],
+        nonlinear={"T": "degC"},
+        inputs={"room": "degC"},
+        **more,
+    )
+
+
+def test_a_rate_is_no_step():
+    series = engine.Series(80.0 - np.arange(40.0), np.full(40, 20.0), dt=5.0)
+    wrong = cooling(lambda T, rate, dt: rate, continuous=True)
+    for ask in (engine.fit_simulation, engine.rbps_em, engine.diagnose, engine.model_check):
+        told = "continuous=True says that steps may be shorter.*engine.continuous"
+        if ask is engine.model_check:
+            assert "does not depend on dt" in ask(wrong)[0]
+            continue
+        with pytest.raises(ModelError, match=told):
+            ask(wrong, series)
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        lambda T, rate, dt: T + dt * rate,
+        lambda T, rate, dt: T,  # does not move
+        lambda T, rate, dt: T * np.exp(-0.01 * dt),
+    ],
+)
+def test_a_step_may_be_short(step):
+    assert not engine.model_check(cooling(step, continuous=True))[0].startswith("Cannot")
+
+
+def test_a_step_that_is_given_needs_no_dt():
+    assert not engine.model_check(cooling(lambda T, rate, dt: rate))[0].startswith("Cannot")
