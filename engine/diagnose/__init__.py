@@ -66,6 +66,7 @@ from engine.errors import OptionError, check_count
 from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
 from engine.forked import in_processes
 from engine.randomness import check_seed
+from engine.simulation.rates import check_no_rates
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
 from engine.words import enumerated, meant, moment
@@ -213,6 +214,7 @@ def diagnose(  # noqa: PLR0913
         done = replace(done, told=EarlyAnswer(early, model, plain, seed))
     part = plain.part(*rows_searched(model, theta, free, plain))
     clock.start("fit")
+    check_no_rates(model, part, model.theta(theta))
 
     def first(share: float) -> None:
         clock.progress("fit", FIRST_FIT_SHARE * share)

@@ -214,6 +214,28 @@ def _check_functions(
     return noises
 
 
+def ignores_dt(model: MixedModel, theta: Array, series: Series) -> bool:
+    """Whether the steps of a model are the same however long they are, and move every state."""
+    record = model.record(theta)
+    a = _check_first(model, record, "the start values")
+    at = series.u_step[0], float(series.t[0]), float(series.steps[0])
+    return _ignores_dt(model, record, a, at, model.transition(a, *at, record)[:2])
+
+
+def _ignores_dt(
+    model: MixedModel, record: object, a: Array, at: tuple[Array, float, float], known: Result
+) -> bool:
+    """The same of a step, ``known`` from f and A."""
+    f, A = copies(known)
+    (u, t, dt), z = at, np.ones((len(a), model.nz))
+    short = model.transition(a, u, t, NO_TIME * dt, record)
+    if not (np.array_equal(short[0], f) and np.array_equal(short[1], A)):
+        return False
+    x = np.hstack([a, z])
+    moved = np.abs(f + np.einsum("...ij,...j->...i", A, z) - x)
+    return bool(np.isfinite(moved).all() and (moved > ROUNDING * np.abs(x)).any(axis=0).all())
+
+
 def _check_step(
     model: MixedModel, record: object, a: Array, at: tuple[Array, float, float], known: Result
 ) -> None:
@@ -224,17 +246,10 @@ def _check_step(
     """
     if not model.continuous or model.steps_counted:
         return
-    known = copies(known)
-    (u, t, dt), z = at, model.start(record).linear(a)[0]
-    f, A, _ = model.transition(a, u, t, NO_TIME * dt, record)
-    if not all(np.array_equal(one, other) for one, other in zip((f, A), known, strict=True)):
-        return
-    x = np.hstack([a, z])
-    moved = np.abs(f + np.einsum("...ij,...j->...i", A, z) - x)
-    if np.isfinite(moved).all() and (moved > ROUNDING * np.abs(x)).any(axis=0).all():
+    if _ignores_dt(model, record, a, at, known):
         raise ModelError(
-            f"model '{model.name}', dynamics: what it returns does not depend on dt, though continuous=True says "
-            "that steps may be shorter. It is to return the state after a step, not its rate of change: "
+            f"model '{model.name}', dynamics: what it returns does not depend on dt, though continuous=True "
+            "says that steps may be shorter. It is to return the state after a step, not its rate of change: "
             "a[:, 0] + dt * (...). Where the equations are rates, leave dt out and write "
             "engine.continuous(drift=..., diffusion=...), which makes the steps."
         )
