@@ -23,6 +23,7 @@ from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.judgement import ENOUGH, NAMES, has_tails, judged
+from engine.diagnose.search.likeness import as_foreseen
 from engine.diagnose.search.search import LATER, search
 from engine.diagnose.search.small_rest import first_alone
 from engine.diagnose.search.step_error import steps_for_sizes
@@ -138,8 +139,11 @@ def find_causes(  # noqa: PLR0913
         judged, base, series, setting, alpha=alpha, seed=seed, unnamed=unnamed, read=settled
     )
     said = judge(found, kept=kept)
-    if said.verdict is Verdict.UNKNOWN and not settled:
-        alone = first_alone(found, series)
+    by_steps = any(as_foreseen(one.effect, one.fit) for one in found.named)
+    if (said.verdict is Verdict.UNKNOWN or by_steps) and not settled:
+        alone = None
+        with suppress(EngineError, np.linalg.LinAlgError):
+            alone = first_alone(found, series)
         if alone is not None:
             instead = judge(alone, kept=kept.apart("first alone"))
             said = instead if instead.verdict in NAMES else said

@@ -8,17 +8,21 @@ keeps next to nothing of its error: then the first has its name, and the rest is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import takewhile
 
 import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.search.found import Search
-from engine.diagnose.search.refits import finished
+from engine.diagnose.search.likeness import as_foreseen
+from engine.diagnose.search.refits import Refit, finished
 from engine.diagnose.search.rounds import FORESEEN, Round
 from engine.diagnose.symptoms.runs import noise_free, start_state
 from engine.errors import EngineError
-from engine.estimation.quasi_ml import QuasiFit
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.free_run import output_scale
 
 REST = 0.1  # of what the first effect gains in likelihood
@@ -26,37 +30,67 @@ LEFT_OVER = 0.01  # of the squared error of the free run
 
 
 def first_alone(found: Search, series: Series) -> Search | None:
-    """The search as its first round left it, None where what came after is not a small rest."""
+    """The search as its first round left it, None where what came after is not a small rest.
+
+    What the model's own steps get wrong is no cause of its own: found next, it stays beside the first.
+    """
     begun = found.begun
-    if begun is None or not (len(found.named) > 1 or found.alarm_left):
+    if begun is None or begun.refits[0].effect.family == "noise":
         return None
-    if begun.refits[0].effect.family == "noise":
+    best, named = begun.refits[0], found.named
+    if best.effect.name != named[0].effect.name:
         return None
-    best = begun.refits[0]
-    if best.effect.name != found.named[0].effect.name:
+    steps = list(takewhile(lambda one: as_foreseen(one.effect, one.fit), named[1:]))
+    if len(named) == 1 + len(steps) and not found.alarm_left:
         return None
-    fit = finished(best.fit, series)
+    fitted = partial(_fitted, found, best.fit, series=series)
+    fit = fitted((named[0], *steps)) if steps else finished(best.fit, series)
     gain = 2.0 * (fit.log_likelihood - found.base.log_likelihood)
     rest = 2.0 * (found.final.log_likelihood - fit.log_likelihood) + _seen_after(found)
     if rest > REST * gain or not _runs_free(fit, found.base, series):
         return None
-    alone = replace(best, fit=fit, gain=gain)
-    first = replace(
-        begun,
-        refits=(alone, *begun.refits[1:]),
-        equivalent=(alone, *(one for one in begun.equivalent if one is not best)),
-    )
-    seen = Round(found.rounds[1].screen, (), None, ())
+    rounds = [begun]
+    if steps:
+        rounds = [one for one in found.rounds if one.equivalent][: 1 + len(steps)]
+    kept = [one.refits[0] for one in rounds]
+    for k, one in enumerate(kept):
+        others = [other for other in kept if other is not one]
+        gained = 2.0 * (fit.log_likelihood - fitted(others).log_likelihood)
+        rounds[k] = _led_anew(rounds[k], replace(one, fit=fit, gain=gained))
+    seen = Round(found.rounds[len(rounds)].screen, (), None, ())
     return replace(
         found,
         final=fit,
-        rounds=(first, seen),
+        rounds=(*rounds, seen),
         alarm_left=False,
         of_the_steps="",
         unweighed=(),
         as_well=(),
         small_rest=True,
     )
+
+
+def _fitted(found: Search, begun: QuasiFit, refits: Sequence[Refit], series: Series) -> QuasiFit:
+    """The base of a search with some of the effects that were found.
+
+    It starts from the fit of the first alone: beside all of them noise may have gone to a bound.
+    """
+    if not refits:
+        return found.base
+    model = found.base.model
+    for one in refits:
+        model = one.effect.apply(model)
+    known = found.final.theta.asdict() | begun.theta.asdict()
+    theta = model.theta({name: known[name] for name in model.parameter_names})
+    free = [name for name in found.final.free if name in model.parameter_names]
+    return quasi_ml(model, series, theta, free)
+
+
+def _led_anew(found: Round, best: Refit) -> Round:
+    """The round with another fit of what leads it."""
+    before = found.refits[0]
+    others = tuple(one for one in found.equivalent if one is not before)
+    return replace(found, refits=(best, *found.refits[1:]), equivalent=(best, *others))
 
 
 def is_small(gain: float, found: Search, series: Series) -> bool:

@@ -22,7 +22,7 @@ from engine.diagnose.search.findings import (
     Verdict,
 )
 from engine.diagnose.search.found import Search
-from engine.diagnose.search.likeness import merely_wider
+from engine.diagnose.search.likeness import as_foreseen, merely_wider
 from engine.diagnose.search.refits import Refit, further_parameters
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.estimation.quasi_ml import QuasiFit
@@ -120,9 +120,10 @@ def patchwork(search: Search, alpha: float) -> str:
     So they do where more than two are needed; where one of two is a property of the noise, which is
     how the rest of a cause looks that another effect explains in part, unless each gains more beside the
     other than by itself; or where something is still seen, at ``LEFT * alpha``, after two effects or after
-    noise. Outliers, which hide others, count in the last rule only.
+    noise. Outliers, which hide others, count in the last rule only, and an error of the model's steps in none.
     """
-    found = [r.refits[0].effect for r in search.rounds if r.equivalent]
+    # what the model's own steps get wrong is there beside whatever is found
+    found = [one.effect for one in search.named if not as_foreseen(one.effect, one.fit)]
     # a drift and its bend are one
     effects = [e for e in found if not (e.traits.outliers or e.traits.bends)]
     noises = [effect.name for effect in effects if effect.family == "noise"]

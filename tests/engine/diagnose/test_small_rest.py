@@ -1,5 +1,6 @@
 """A small rest that nothing names leaves the name of nearly all that was wrong; a large one does not."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +17,7 @@ from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.small_rest import first_alone
-from engine.diagnose.search.verdict import doubts, verdict_of
+from engine.diagnose.search.verdict import doubts, patchwork, verdict_of
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.diagnose.test_friction import DT, body, by_hand, measured
 
@@ -149,3 +150,95 @@ def test_a_slide_that_sticks_and_slips_is_named_whoever_made_its_record(ahead):
     assert found.search.final.theta["coulomb_v"] == pytest.approx(25.0 / 18.0, rel=0.005)
     assert found.search.final.theta["m"] == pytest.approx(18.0, rel=0.005)
     assert any("Something more is seen" in note for note in found.notes) is ahead
+
+
+def drained(T=250, fine=50):
+    """A tank filled by a pump that does nothing below 1.8 V, emptied by an orifice and a small leak."""
+    rng = np.random.default_rng(31)
+    u, h, y = np.repeat(rng.uniform(0.0, 10.0, T // 25), 25), 6.0, np.empty(T)
+    for t in range(T):
+        y[t] = h + 0.05 * rng.standard_normal()
+        for _ in range(fine):
+            flow = 3.2 * max(u[t] - 1.8, 0.0) - 5.0 * np.sqrt(max(h, 0.0)) - 0.05 * h
+            h += flow / 15.5 / fine
+    return engine.Series(y, u, dt=1.0)
+
+
+def drain(a, u, t, dt, th):
+    flow = th.kp * u[0] - th.co * np.sqrt(np.maximum(a[:, 0], 0.0))
+    return [a[:, 0] + dt * flow / 15.5], np.zeros((1, 0)), [[th.q]]
+
+
+TANK = engine.MixedModel(
+    "tank",
+    drain,
+    lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[th.r]]),
+    lambda th: (engine.Gaussian([6.0], [[0.1]]), np.zeros(0), np.zeros((0, 0))),
+    {"level": "cm"},
+    [
+        engine.Parameter("kp", 3.0, "cm^3/s/V", (0.0, 50.0)),
+        engine.Parameter("co", 4.0, "cm^2.5/s", (0.0, 50.0)),
+        engine.Parameter("q", 1e-3, "cm^2", (1e-9, 10.0)),
+        engine.Parameter("r", 1e-2, "cm^2", (1e-6, 10.0)),
+    ],
+    nonlinear={"h": "cm"},
+    inputs={"pump": "V"},
+)
+
+
+@pytest.fixture(scope="module")
+def emptied():
+    """A search that found the dead zone, what steps of 1 s get wrong, and something small beside."""
+    series, fits, effects = drained(), [quasi_ml(TANK, drained())], []
+    sizes = {"input-deadzone:pump": 1.7, "time-step:dt": 1.5, "quadratic:h": -1e-4}
+    for name, size in sizes.items():
+        before = fits[-1]
+        setting = setting_for(TANK, series, before.theta[: len(TANK.parameters)])
+        effects.append(make_effect(name, setting.beside(before.model)))
+        model = effects[-1].apply(before.model)
+        theta = model.theta(before.theta.asdict() | {effects[-1].size.name: size})
+        free = [*before.free, effects[-1].size.name]
+        fits.append(quasi_ml(model, series, theta, free))
+    refits = []
+    for effect, fit, before in zip(effects, fits[1:], fits[:-1], strict=True):
+        gain = 2.0 * (fit.log_likelihood - before.log_likelihood)
+        refits.append(Refit(effect, fit, gain, gain))
+    rounds = [Round(seen(one.effect.name), (one,), None, (one,)) for one in refits]
+    rounds.append(Round(seen("pole:h", 1.0), (), None, ()))
+    rounds[-1].screen.p_value = 0.6
+    return series, Search(fits[0], fits[-1], tuple(rounds), False, begun=rounds[0])
+
+
+@pytest.mark.long
+def test_what_the_steps_get_wrong_stays_beside_the_first(emptied):
+    series, found = emptied
+    alone = first_alone(found, series)
+    assert alone is not None
+    assert [one.effect.name for one in alone.named] == ["input-deadzone:pump", "time-step:dt"]
+    assert "quadratic_h" not in alone.final.theta.names
+    assert verdict_of(alone, 0.05) is Verdict.NAMED
+    first, steps = alone.named
+    assert first.gain > 5.0 * steps.gain > 0.0
+    assert alone.final.theta["input_deadzone_pump"] == pytest.approx(1.8, rel=0.06)
+    (said,) = doubts(alone, 0.05)
+    assert said.startswith("Something more is seen beside input-deadzone:pump and time-step:dt")
+
+
+@pytest.mark.long
+def test_beside_the_first_and_the_steps_there_may_be_nothing_more(emptied):
+    series, found = emptied
+    two = replace(found, rounds=(*found.rounds[:2], found.rounds[-1]), final=found.named[1].fit)
+    assert first_alone(two, series) is None
+
+
+@pytest.mark.long
+def test_an_error_of_the_steps_is_no_patch(emptied):
+    _, found = emptied
+    assert patchwork(found, 0.05) == ""
+    steps = found.rounds[1]
+    theta = steps.refits[0].fit.theta
+    off = theta.asdict() | {"time_step_dt": 3.5}  # no size of an error of steps
+    fit = replace(steps.refits[0].fit, theta=steps.refits[0].fit.model.theta(off))
+    other = replace(steps.refits[0], fit=fit)
+    rounds = (found.rounds[0], replace(steps, refits=(other,)), *found.rounds[2:])
+    assert "more than 2 effects" in patchwork(replace(found, rounds=rounds), 0.05)
