@@ -82,6 +82,29 @@ def test_a_step_that_is_given_stays_one(share):
     check_no_rates(model, recorded(model, dt=1.0), model.theta())
 
 
+@pytest.mark.long
+def test_a_map_whose_free_run_tells_nothing_stays_one():
+    """Of a chaotic population each generation follows from the last one, and a run is off by its spread."""
+
+    def dynamics(a, u, t, dt, theta):
+        return [theta.growth * a[:, 0] * (1.0 - a[:, 0])], np.zeros((1, 0)), [[1e-6]]
+
+    model = engine.MixedModel(
+        "generations",
+        dynamics,
+        lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[1e-4]]),
+        lambda theta: (engine.Gaussian([0.3], [[1e-3]]), np.zeros(0), np.zeros((0, 0))),
+        {"y": ""},
+        [engine.Parameter("growth", 3.7, "", (0.0, 4.0))],
+        nonlinear={"n": ""},
+    )
+    y, n = [], 0.3
+    for _ in range(200):
+        y.append(n)
+        n = 3.8 * n * (1.0 - n)
+    check_no_rates(model, engine.Series(y, dt=1.0), model.theta())
+
+
 def test_by_rates_the_state_goes_on_by_them():
     model, theta = by_rates(bath(rates, linear=True)), bath(rates).theta()
     a, u, record = np.zeros((2, 0)), np.array([100.0]), bath(rates).record(theta)
