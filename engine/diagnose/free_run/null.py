@@ -25,6 +25,7 @@ from engine.words import probability
 
 SERIES = 299  # simulated at least; the smallest p-value of n is 3 / (n + 1)
 LOOKED_AT = 0.05  # p-value from which on the likelihood's own noise is asked, too
+AWAY = 1e100  # standard deviations of a reading: from there a run has run away, and its squares are no numbers
 NEARER = 10.0  # times smaller than what noise makes, from which on an error is too small for it
 
 
@@ -82,7 +83,7 @@ def alarm(
     """
     fit, n = linear.fit, max(SERIES, int(np.ceil(3.0 / level)) - 1)
     E = noise_runs(fit, theta, n, seed)
-    E = E[:, np.isfinite(E).all(axis=0)]
+    E = _staying(E)
     away = n - E.shape[1]  # noise makes these run away: no error is beyond them
     gain = float(linear.held_out_gains(fit.e, folds)[0])
     rms = float(np.sqrt(np.mean(linear.e**2)))
@@ -94,7 +95,7 @@ def alarm(
     p_near, refits = 1.0, 0
     if ahead is not None and 3.0 * _p_value(int((sizes <= rms).sum()), n) <= LOOKED_AT:
         E = noise_runs(fit, _with_noise_of(fit, ahead), n, seed)
-        E = E[:, np.isfinite(E).all(axis=0)]  # what runs away is not small
+        E = _staying(E)  # what runs away is not small
         own = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
         p_own = _p_value(int((own <= rms).sum()), n)
         p_near = max(p_own, _p_value(int((sizes <= NEARER * rms).sum()), n))
@@ -123,6 +124,11 @@ def noise_runs(fit: Fitted, theta: Array, n: int, seed: int) -> Array:
         quiet, _, _ = propagate(model, record, one, x[:1, :na], x[:1, na:])
         parts.append(((y - quiet) / fit.problem.scale).transpose(0, 2, 1)[one.observed])
     return np.concatenate(parts)
+
+
+def _staying(E: Array) -> Array:
+    """Those of the columns of E (values, n) that do not run away."""
+    return E[:, (np.abs(E) < AWAY).all(axis=0)]
 
 
 def _p_value(reached: int, series: int) -> float:

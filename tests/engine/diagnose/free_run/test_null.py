@@ -5,6 +5,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.free_run import null
 from engine.diagnose.free_run.null import SERIES, Alarm, alarm
 from engine.diagnose.free_run.refitted import as_near
 from engine.diagnose.free_run_fits.candidates import candidates, fit_of
@@ -53,6 +54,19 @@ def test_an_error_is_too_small_only_where_the_likelihood_s_own_noise_is_too_larg
     assert alarm(linear, fitted, folds, 1, linear.fit.model.theta(fitted)).p_near == LEAST
     assert alarm(linear, fitted, folds, 1, own).p_near > 0.5
     assert alarm(linear, fitted, folds, 1).p_near == 1.0
+
+
+def test_runs_that_noise_drives_away_count_as_large_however_far_they_are(clean, monkeypatch):
+    """Of an epidemic, say, that grows with what noise adds: some end at 1e160, whose squares are no numbers."""
+    linear, folds = clean
+    theta = np.asarray(linear.fit.theta)
+    drawn = null.noise_runs(linear.fit, theta, SERIES, 1)
+    seen = []
+    for far in (np.inf, 1e160):
+        drawn[-1, :40] = far
+        monkeypatch.setattr(null, "noise_runs", lambda *_, made=drawn.copy(): made)
+        seen.append(alarm(linear, theta, folds, 1, linear.fit.model.theta(theta)))
+    assert seen[0] == seen[1]
 
 
 def test_three_questions_share_the_error():
