@@ -12,6 +12,7 @@ from engine.diagnose.screening.tails import OUTLYING
 from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.contradictions import already_there, folded, undetermined
+from engine.diagnose.search.dependent_rows import dependent_rows
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.lack_of_fit import LEVEL, LackOfFit, lack_of_fit
@@ -97,6 +98,10 @@ def judged(
     ]
     if against:
         notes.extend(against)
+        verdict = Verdict.UNKNOWN
+    tails = [r.refits[0].effect.name for r in named if r.refits[0].effect.traits.outliers]
+    if tails and verdict in NAMES and (told := dependent_rows(found.final, series, tails, seed)):
+        notes.append(told)
         verdict = Verdict.UNKNOWN
     # beside an error of the steps every shape is in doubt
     doubted = verdict not in NAMES or read or bool(found.of_the_steps)
