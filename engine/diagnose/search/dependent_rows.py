@@ -1,10 +1,10 @@
-"""Outliers do not know of each other: a name for them claims that rows are independent.
+"""Noise is random: a name for its outliers, or for what it varies with, claims that rows are independent.
 
 What a model gets wrong in a rhythm or for a while makes large errors now and then, as counts that come late
 after each weekend do. Heavy tails explain these better than many a cause, but what they leave is no noise. So
-errors of the model with its outliers are tested for correlation in time (Ljung and Box 1978), by their ranks,
-which an outlier does not reach. Where it is beyond doubt, records simulated by the same model say whether its
-filter makes it so. Those that run away say nothing.
+errors of the extended model are tested for correlation in time (Ljung and Box 1978), by their ranks, which an
+outlier does not reach. Where it is beyond doubt, records simulated by the same model say whether its filter
+makes it so. Those that run away say nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SIMULATED = 7  # records
 
 
 def dependent_rows(fit: QuasiFit, series: Series, names: Sequence[str], seed: int) -> str:
-    """A sentence where errors of a model with outliers, its ``names``, depend on earlier rows; else ""."""
+    """A sentence where errors of a model with noise of these ``names`` depend on earlier rows; else ""."""
     try:
         seen = _tail(fit, series)
     except (EngineError, np.linalg.LinAlgError):  # no evidence against the name
@@ -37,7 +37,7 @@ def dependent_rows(fit: QuasiFit, series: Series, names: Sequence[str], seed: in
     if seen > SURE or any(_as_dependent(fit, series, seen, [seed, 8, k]) for k in range(SIMULATED)):
         return ""
     return (
-        f"Outliers come at random, and what {enumerated(list(names))} leaves does not: errors of the extended model "
+        f"Noise is random, and what {enumerated(list(names))} leaves does not: errors of the extended model "
         f"depend on those of earlier rows ({probability(seen)}). So what is wrong has a course in time."
     )
 

@@ -99,8 +99,8 @@ def judged(
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN
-    tails = [r.refits[0].effect.name for r in named if r.refits[0].effect.traits.outliers]
-    if tails and verdict in NAMES and (told := dependent_rows(found.final, series, tails, seed)):
+    noises = [r.refits[0].effect.name for r in named if r.refits[0].effect.family == "noise"]
+    if noises and verdict in NAMES and (told := dependent_rows(found.final, series, noises, seed)):
         notes.append(told)
         verdict = Verdict.UNKNOWN
     # beside an error of the steps every shape is in doubt

@@ -1,4 +1,4 @@
-"""Errors that depend on earlier rows are no outliers, however well these explain them."""
+"""Errors that depend on earlier rows are no noise, however well outliers or a variance explain them."""
 
 import numpy as np
 import pytest
@@ -26,6 +26,13 @@ def weekly():
 
 def outliers(seed):
     return hide(LEVEL, [NAME], VALUES, 280, np.random.default_rng(seed), dt=1.0).series
+
+
+def growing():
+    """A rhythm of a week that grows with time."""
+    series = engine.simulate(LEVEL, None, 280, np.random.default_rng(1), dt=1.0).series
+    t, size = np.arange(280), 1.5 * np.std(np.diff(series.y[:, 0]))
+    return series.replace(y=series.y + (size * t / 280 * np.sin(2 * np.pi * t / 7))[:, None])
 
 
 def told(series):
@@ -64,7 +71,9 @@ def test_a_filter_that_makes_errors_depend_on_each_other_is_no_evidence(monkeypa
 
 
 @pytest.mark.long
-def test_the_name_of_outliers_is_not_said_where_their_rows_depend_on_each_other():
-    found = diagnose(LEVEL, weekly(), effects=["heavy-tails"], held_out=0.0)
+@pytest.mark.parametrize(("series", "kind"), [(weekly(), "heavy-tails"), (growing(), "variance")])
+def test_no_name_of_noise_is_said_where_rows_depend_on_each_other(series, kind):
+    found = diagnose(LEVEL, series, effects=["variance", "heavy-tails", "level"], held_out=0.0)
     assert found.verdict is Verdict.UNKNOWN
+    assert [cause.effect.split(":")[0] for cause in found.causes] == [kind]
     assert any("depend on those of earlier rows" in note for note in found.notes)
