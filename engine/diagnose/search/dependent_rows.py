@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 from engine.data.series import Series
 from engine.diagnose.search.calibration import drawn_from
@@ -62,5 +61,10 @@ def _tail(fit: QuasiFit, series: Series) -> float:
 
 def _normal_scores(x: Array) -> Array:
     """Columns by their ranks, as if they were normal (van der Waerden 1952); NaN where missing."""
-    ranks = rankdata(x, axis=0, nan_policy="omit")
-    return np.asarray(ndtri(ranks / (1.0 + np.isfinite(x).sum(axis=0))))
+    scores = np.full(x.shape, np.nan)
+    for column, out in zip(x.T, scores.T, strict=True):
+        there = np.isfinite(column)
+        _, which, counts = np.unique(column[there], return_inverse=True, return_counts=True)
+        ranks = np.cumsum(counts) - 0.5 * (counts - 1)  # of equal values the middle one
+        out[there] = ndtri(ranks[which] / (1.0 + there.sum()))
+    return scores
