@@ -7,7 +7,7 @@ that the record searched has been.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,16 +29,16 @@ def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
     rows = np.flatnonzero(one.observed.any(axis=1))[: model.nx]
     if not rows.size:
         return False
+    square, count = 0.0, 0
     try:
         path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))
-    except (EngineError, np.linalg.LinAlgError):
+        for t in rows:
+            there = one.observed[t]
+            nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
+            square += float(nu @ np.linalg.solve(S, nu))
+            count += int(there.sum())
+    except (EngineError, np.linalg.LinAlgError):  # also where a reading can only be one value
         return False
-    square, count = 0.0, 0
-    for t in rows:
-        there = one.observed[t]
-        nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
-        square += float(nu @ np.linalg.solve(S, nu))
-        count += int(there.sum())
     return bool(chi2_sf(square, count) > UNLIKELY)
 
 
@@ -50,38 +50,50 @@ def starts_there(fit: QuasiFit, one: Series) -> bool:
 def anywhere(base: QuasiFit, extended: QuasiFit, searched: Series) -> tuple[QuasiFit, QuasiFit]:
     """Both fits with a first state of the model that may be anywhere that ``searched`` has been.
 
-    So may linear states that an effect has added: what a sensor is behind, say. Its nonlinear ones begin as
-    they did. Where a filter is lost on ``searched`` the fits stay as they are.
+    So may linear states that an effect has added: what a sensor is behind, say. Where a filter is lost on
+    ``searched`` the fits stay as they are.
     """
     own = (*base.model.nonlinear, *base.model.linear)
     try:
-        one = replace(base, model=_widened(base.model, _farthest(base, searched)))
-        added = [name for name in extended.model.linear if name not in own]
-        far = _farthest(extended, searched)
-        there = {name: far[name] for name in (*own, *added) if name in far}
-        return one, replace(extended, model=_widened(extended.model, there))
+        one, other = _farthest(base, own, searched), _farthest(extended, own, searched)
     except (EngineError, np.linalg.LinAlgError):
         return base, extended
+    wide = _widened(base.model, one), _widened(extended.model, other)
+    return replace(base, model=wide[0]), replace(extended, model=wide[1])
 
 
-def _farthest(fit: QuasiFit, searched: Series) -> dict[str, float]:
-    """How far from its first mean each state comes."""
+def _farthest(fit: QuasiFit, own: Sequence[str], searched: Series) -> dict[str, float]:
+    """How far each state of its ``own`` comes from its first mean, and each further linear one goes.
+
+    What is added may begin at 0 for want of what came before it, in whatever unit: its first row tells nothing.
+    """
     model, theta = fit.model, np.asarray(fit.theta)
     means = moment_path(model, theta, searched).filtered
     middle, _ = moments_of_first(model, model.record(theta))
-    names = (*model.nonlinear, *model.linear)
-    return dict(zip(names, np.abs(means - middle).max(axis=0).tolist(), strict=True))
+    away = np.abs(means - middle).max(axis=0)
+    span = np.ptp(means[1:], axis=0)
+    names = [*model.nonlinear, *model.linear]
+    found = {n: float(away[i]) for i, n in enumerate(names) if n in own}
+    return found | {n: float(span[names.index(n)]) for n in model.linear if n not in own}
 
 
 def _widened(model: MixedModel, far: Mapping[str, float]) -> MixedModel:
-    """The model with standard deviations of the first state that are wider by ``far``, by state."""
-    na = model.na
-    more = np.diag([far.get(name, 0.0) ** 2 for name in (*model.nonlinear, *model.linear)])
+    """The model with standard deviations of the first state that are wider by ``far``, by state.
+
+    Nonlinear states that are not in it follow the others as they did: a memory of what was read, say.
+    """
+    na, names = model.na, [*model.nonlinear, *model.linear]
+    more = np.diag([far.get(name, 0.0) ** 2 for name in names])
+    own = np.array([name in far for name in model.nonlinear], dtype=bool)
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         start = model.start(theta)
         mean, cov = moments_of_first(model, theta)
-        density = Gaussian(mean[:na], cov[:na, :na] + more[:na, :na]) if na else start.density
+        C = cov[:na, :na]
+        follow = np.eye(na)[:, own]
+        follow[~own] = C[np.ix_(~own, own)] @ np.linalg.pinv(C[np.ix_(own, own)], hermitian=True)
+        wide = C + follow @ more[:na, :na][np.ix_(own, own)] @ follow.T
+        density = Gaussian(mean[:na], wide) if na else start.density
 
         def z1(a: Array) -> Array:
             return start.linear(a)[0]

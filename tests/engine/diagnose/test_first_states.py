@@ -12,7 +12,8 @@ from engine.diagnose.first_states import anywhere, begins_as_expected
 from engine.diagnose.gain.gain import ELSEWHERE, measure_gain
 from engine.diagnose.gain.narrowing import with_noise_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
-from tests.engine.diagnose.test_laboratory_heater import CUT, HEATER, readings
+from engine.statespace.model import Gaussian
+from tests.engine.diagnose.test_laboratory_heater import CUT, HEATER, heater, readings
 
 
 @dataclass(frozen=True)
@@ -83,3 +84,52 @@ def test_noise_of_all_records_leaves_all_else_as_it_was(fits):
     moved = {name for name in before if before[name] != after[name]}
     assert moved == {"q", "r"}
     assert after["q"] > 1e-3
+
+
+def test_units_and_their_zero_change_nothing_of_a_gain(fits):
+    """The same readings in degF and minutes."""
+    train, test = parts(21)
+    of_unit = {
+        "tau": 1 / 60,
+        "gain": 1.8,
+        "q": 1.8 * 60**0.5,
+        "r": 1.8,
+        "slow_sensor_sensor": 1 / 60,
+    }
+    model, found = heater(0.25 * 1.8**2), []
+    for fit, one in zip(fits, (model, extend(model, ["slow-sensor:sensor"])), strict=True):
+        values = {name: of_unit.get(name, 1.0) * x for name, x in fit.theta.asdict().items()}
+        values["room"] = 1.8 * values["room"] + 32.0
+        found.append(replace(fit, model=one, theta=one.theta(values)))
+    there = [one.replace(y=1.8 * one.y + 32.0, t=one.t / 60.0) for one in (train, test)]
+    for later, other in (
+        (Series(y=test.y, u=test.u, dt=1.0), Series(y=there[1].y, u=test.u, dt=1 / 60)),
+        (test, there[1]),
+    ):
+        here = measure_gain(*fits, [later], records=[train])
+        elsewhere = measure_gain(*found, [other], records=[there[0]])
+        assert elsewhere.log_density == pytest.approx(here.log_density, abs=1e-3)
+
+
+def test_a_reading_that_can_be_one_value_only_is_no_error():
+    """Of a sensor without noise at a first state that is known there is no density."""
+    exact = replace(
+        HEATER,
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[0.0]]),
+        initial=lambda th: (Gaussian([th.room], [[0.0]]), np.zeros(0), np.zeros((0, 0))),
+    )
+    series = Series(y=np.full(5, 40.0), u=np.zeros(5), dt=1.0)
+    assert not begins_as_expected(exact, np.asarray(exact.theta()), series)
+
+
+def test_a_nonlinear_memory_follows_the_state_that_it_remembers(fits):
+    """A delayed reading is that of where the record begins, wherever that is."""
+    train, _ = parts(21)
+    late = extend(HEATER, ["delay:sensor"])
+    theta = late.theta({**fits[0].theta.asdict(), "delay_sensor": 3.0})
+    _, wide = anywhere(fits[0], replace(fits[1], model=late, theta=theta), train)
+    cov = wide.model.start(wide.model.record(theta)).density.cov
+    spread = np.sqrt(np.diag(cov))
+    assert spread.max() > 10.0
+    others = cov[0, 1:] / spread[0] / np.where(spread[1:] > 0.0, spread[1:], 1.0)
+    assert others.max(initial=1.0) > 0.9

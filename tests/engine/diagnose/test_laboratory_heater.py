@@ -43,26 +43,31 @@ def measurement(a, u, t, th):
     return [a[:, 0]], np.zeros((1, 0)), [[th.r**2]]
 
 
-def initial(th):
-    return engine.Gaussian([th.room], [[0.25]]), np.zeros(0), np.zeros((0, 0))
+def heater(variance=0.25):
+    """The model; ``variance`` of where a record begins, in degC^2 or another unit."""
+
+    def initial(th):
+        return engine.Gaussian([th.room], [[variance]]), np.zeros(0), np.zeros((0, 0))
+
+    return engine.MixedModel(
+        name="heater",
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=initial,
+        nonlinear={"T": "degC"},
+        inputs={"heater": "%"},
+        outputs={"sensor": "degC"},
+        parameters=[
+            engine.Parameter("tau", 150.0, "s", (1, 2000)),
+            engine.Parameter("gain", 0.5, "degC/%", (0, 5)),
+            engine.Parameter("room", 23.0, "degC", (0, 100)),
+            engine.Parameter("q", 0.02, "degC/s^0.5", (1e-5, 5)),
+            engine.Parameter("r", 0.2, "degC", (1e-3, 5)),
+        ],
+    )
 
 
-HEATER = engine.MixedModel(
-    name="heater",
-    dynamics=dynamics,
-    measurement=measurement,
-    initial=initial,
-    nonlinear={"T": "degC"},
-    inputs={"heater": "%"},
-    outputs={"sensor": "degC"},
-    parameters=[
-        engine.Parameter("tau", 150.0, "s", (10, 2000)),
-        engine.Parameter("gain", 0.5, "degC/%", (0, 5)),
-        engine.Parameter("room", 23.0, "degC", (0, 40)),
-        engine.Parameter("q", 0.02, "degC/s^0.5", (1e-5, 5)),
-        engine.Parameter("r", 0.2, "degC", (1e-3, 5)),
-    ],
-)
+HEATER = heater()
 
 
 @pytest.mark.long
