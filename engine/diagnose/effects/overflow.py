@@ -16,6 +16,7 @@ import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Split, on_base, pushed
 from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved
+from engine.diagnose.effects.odds import nothing_spills
 from engine.diagnose.effects.setting import WIDEST, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -67,7 +68,7 @@ def _overflow(setting: Setting, channel: str, name: str, source: str, target: st
         },
         held=(f"{name}_side",),
         one_sided=True,
-        traits=Traits(suits="store", odd=setting.is_temperature(source)),
+        traits=Traits(suits="store", odd=nothing_spills(setting, source)),
     )
 
 

@@ -21,7 +21,7 @@ from engine.diagnose.effects.rates import Points, Rate, beside, feeding, guessed
 from engine.diagnose.effects.zeros import without_zero
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, Parameter
-from engine.units import SECOND, frequency_in, meanings, product
+from engine.units import SECOND, frequency_in, product
 
 SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an effect has
 PROBED = 32  # rows of a record at which a model's structure is looked at
@@ -31,7 +31,6 @@ NEARLY_ALL = 0.9  # of the steps
 WAY_BACK = 0.01  # of the way out: with less, nothing has come back
 POSITIVE = float(np.finfo(float).tiny)  # in any unit
 ANY_TIME, SOME_TIME = (-np.inf, np.inf), (POSITIVE, np.inf)  # bounds of a time, of a length of time
-TEMPERATURES = {"K", "degC", "degF"}
 FREQUENCIES = (0.02, 0.06, 0.12, 0.25)  # cycles a sample at which the screen looks
 ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
 
@@ -193,17 +192,6 @@ class Setting:
     def is_rate(self, state: str) -> bool:
         """Whether the state is the rate of another one: friction and drag suit it, stiffness does not."""
         return state in self._rates
-
-    def is_no_speed(self, state: str) -> bool:
-        """Whether a state's unit says that it is not the speed of anything, so that nothing rubs."""
-        kinds = [kind for _, kind in meanings(self.unit(state))]
-        known = any(kinds) and not self.is_rate(state)
-        return known and all(kind.get(SECOND) != -1.0 for kind in kinds)
-
-    def is_temperature(self, state: str) -> bool:
-        """Whether a state's unit says that it is one."""
-        kinds = [kind for _, kind in meanings(self.unit(state))]
-        return bool(kinds) and all(kind and set(kind) <= TEMPERATURES for kind in kinds)
 
     def is_rate_of(self, state: str, position: str) -> bool:
         """Whether the state is the rate of that one, as far as the equations tell."""

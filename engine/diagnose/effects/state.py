@@ -12,6 +12,7 @@ import numpy as np
 from engine.diagnose.effects.effect import Effect, add_linear_coupling, add_to_state
 from engine.diagnose.effects.friction import rub
 from engine.diagnose.effects.kinds import Kind, at_pairs, at_states, each_pair
+from engine.diagnose.effects.odds import nothing_rubs
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import USUAL, Traits
@@ -77,7 +78,7 @@ def _static(
             f"{formula.format(x=origin.text(source))}",
             extend=extend,
             look_alikes=look_alikes,
-            traits=replace(traits, odd=friction and setting.is_no_speed(source)),
+            traits=replace(traits, odd=friction and nothing_rubs(setting, source)),
             **counted(*parameters),
         )
 
