@@ -127,9 +127,10 @@ class HeldOut:
             text, contradicts = self._particle_word(found.base, search)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
-        fits = self._with_noise_of_all(search) if gain is not None and gain.noise_of_all else search
-        base, final, said = fits.base, fits.final, tuple(notes)
-        return Judged(verdict, named_by(search), base, final, gain, search, asked, said)
+        own = (search.base, search.final)
+        before, after = own if gain is None or gain.fits is None else gain.fits
+        causes, said = named_by(search), tuple(notes)
+        return Judged(verdict, causes, before, after, gain, search, asked, said)
 
     def _settled(self, setting: Setting, found: Round, refits: Sequence[Refit]) -> Round:
         """A round of these refits alone."""
@@ -207,7 +208,8 @@ class HeldOut:
         right or not. One that is wrong predicts worse with any noise. Not for a cause that is noise itself.
         """
         try:
-            again = self._gain(self._with_noise_of_all(search))
+            known = self._with_noise_of_all(search)
+            again = self._gain(known)
         except (EngineError, np.linalg.LinAlgError):
             return gain, objection
         if again is None or not again.adopt:
@@ -217,8 +219,8 @@ class HeldOut:
             "log-density there, as that leaves too little to it. So the noise of both models was fitted to the "
             "held-out rows as well, and all else was not."
         )
-        told = replace(again, how=again.how + NOISE_OF_ALL, notes=(*again.notes, note))
-        return replace(told, noise_of_all=True), ""
+        how, notes = again.how + NOISE_OF_ALL, (*again.notes, note)
+        return replace(again, how=how, notes=notes, fits=(known.base, known.final)), ""
 
     def _with_noise_of_all(self, search: Search) -> Search:
         """The search with the noise of its models fitted to what it has searched and the held-out rows."""

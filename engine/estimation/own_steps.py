@@ -16,7 +16,7 @@ from engine.statespace.model import Array, MixedModel, Theta
 from engine.ties import FLAT
 
 LESS_LIKELY = (
-    1.0  # nats: a record that is so much less likely by half-steps tells the steps of the model
+    1.0  # nats: a record that is so much less likely by half-steps tells the model's own steps
 )
 HINT = 1.0  # standard errors that a first step has to move a parameter
 BESIDE = 0.5  # of the longest move: how far from the moment filter's maximum an estimate may be
@@ -33,7 +33,7 @@ def about_own_steps(
     try:
         if free and _long(model, theta, all_series[0]) and _hinted(model, theta, free, all_series):
             return of_fit(quasi_ml(model, all_series, theta, free), all_series, theta)
-    except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+    except (EngineError, np.linalg.LinAlgError):
         pass
     return ""
 

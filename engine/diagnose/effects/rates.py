@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from engine.estimation.expectation import parameter_scale
 from engine.filters.filter_steps import first_moments
-from engine.statespace.half_steps import step as step
+from engine.statespace.half_steps import step
 from engine.statespace.model import Array, MixedModel
 
 PROBE_POINTS = 12  # at which a rate is looked for

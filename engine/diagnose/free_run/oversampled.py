@@ -13,7 +13,6 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
-from engine.diagnose.effects.rates import step
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.search.substeps import MUCH, is_consistent, sampled
@@ -21,6 +20,7 @@ from engine.diagnose.symptoms.runs import start_state
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
 from engine.simulation.step_length import FREE_RUN, change_of_run, run_at_samples
+from engine.statespace.half_steps import step
 from engine.statespace.model import Array, MixedModel, ThetaLike
 
 FEWEST = 500  # samples that are kept of all records

@@ -51,8 +51,8 @@ class Gain:
 
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
     (one-sided), ``p_loss`` of no loss. ``decision`` says whether they call for the extension
-    (see :mod:`engine.diagnose.gain.adoption`). ``among``: the rows lie among those fitted to; ``noise_of_all``:
-    the noise of both models was fitted to them as well. For pictures: times ``t``, readings ``y``, free runs
+    (see :mod:`engine.diagnose.gain.adoption`). ``among``: the rows lie among those fitted to; ``fits`` of both
+    models where their noise was fitted to them as well. For pictures: times ``t``, readings ``y``, free runs
     ``before`` and ``after`` (n, ny), differences ``d`` (n,).
     """
 
@@ -72,7 +72,12 @@ class Gain:
     after: Array | None = field(default=None, repr=False)
     d: Array = field(default_factory=lambda: np.zeros(0), repr=False)
     among: bool = False
-    noise_of_all: bool = False
+    fits: tuple[QuasiFit, QuasiFit] | None = field(default=None, repr=False)
+
+    @property
+    def noise_of_all(self) -> bool:
+        """Whether the noise of both models was fitted to these rows as well."""
+        return self.fits is not None
 
     @property
     def adopt(self) -> bool:

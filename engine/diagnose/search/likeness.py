@@ -10,6 +10,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search.refits import Refit, held_out_terms
+from engine.errors import EngineError
 from engine.statespace.model import Theta
 
 NEEDED = 2.0  # of the score, that the wider kind must be ahead
@@ -59,7 +60,10 @@ def _part(effect: Effect, setting: Setting) -> str:
     """
     if effect.family == "parameter":
         points, theta = setting.points(setting.model)
-        states, readings = moved_by(setting.model, theta, points, effect.channel)
+        try:
+            states, readings = moved_by(setting.model, theta, points, effect.channel)
+        except EngineError:  # with another value the model cannot be used
+            return ""
         return "plant" if states else "sensor" if readings else ""
     return {"measurement": "sensor", "state": "plant", "input": "plant"}.get(effect.family, "")
 

@@ -19,12 +19,13 @@ from engine.data.clock import rounding_of
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.rates import Points, step
+from engine.diagnose.effects.rates import Points
 from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
 from engine.diagnose.records import Records
 from engine.diagnose.symptoms.runs import start_state
 from engine.errors import EngineError
 from engine.simulation.step_length import FREE_RUN, MOST, change_of_run, run_at_samples
+from engine.statespace.half_steps import step
 from engine.statespace.model import Array, MixedModel
 
 BY_EFFECT = 0.05  # of what an effect does to the outputs: error that is small enough

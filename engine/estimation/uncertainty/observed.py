@@ -221,12 +221,9 @@ def standard_errors(
         _said_of_stopped(beyond),
         _said_of_noise(relative),
     )
-    said_so_far = " ".join(
-        filter(None, sentences)
-    )  # what it quotes of an estimation may say the same
-    note = about_predictions(model, theta, all_series) or about_own_steps(
-        model, theta, names, all_series
-    )
+    warning = " ".join(filter(None, sentences))
+    note = about_predictions(model, theta, all_series)
+    note = note or about_own_steps(model, theta, names, all_series)
     return StandardErrors(
         model=model,
         theta=theta,
@@ -237,8 +234,8 @@ def standard_errors(
         relative_error=relative,
         decrement=decrement,
         settled=settled,
-        warning=said_so_far,
-        note="" if note in said_so_far else note,
+        warning=warning,
+        note="" if note in warning else note,  # the estimation that it quotes may have said so
         tied=tuple(together),
     )
 
