@@ -242,3 +242,18 @@ def test_an_error_of_the_steps_is_no_patch(emptied):
     other = replace(steps.refits[0], fit=fit)
     rounds = (found.rounds[0], replace(steps, refits=(other,)), *found.rounds[2:])
     assert "more than 2 effects" in patchwork(replace(found, rounds=rounds), 0.05)
+
+
+@pytest.mark.long
+def test_a_shape_that_is_left_is_small_as_a_second_effect_is(record):
+    """A tenth of the likelihood at most, where the free run keeps next to nothing; and not beside an alarm."""
+    base, _ = fitted(record)
+    fit, (effect,) = fitted(record, "coulomb:v")
+    gain = 2.0 * (fit.log_likelihood - base.log_likelihood)
+    one = Refit(effect, fit, gain, gain)
+    found = Search(base, fit, (Round(seen("coulomb:v"), (one,), None, (one,)),), False)
+    assert small_rest.is_small(0.09 * gain, found, record)
+    assert not small_rest.is_small(0.11 * gain, found, record)
+    assert not small_rest.is_small(0.09 * gain, replace(found, alarm_left=True), record)
+    nowhere_near = replace(found, final=replace(fit, theta=[*base.theta, 0.0]))
+    assert not small_rest.is_small(0.0, nowhere_near, record)
