@@ -2,7 +2,7 @@
 
 A model that begins at rest takes such a record's first readings for impossible, and one that leaves little to
 noise does so for long: what it loses there says nothing of a cause. So both models begin such a record anywhere
-that the record searched has been.
+that the record searched has been. Not so where it begins as one of them says, which speaks for that one.
 """
 
 from __future__ import annotations

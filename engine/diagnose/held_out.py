@@ -230,7 +230,7 @@ class HeldOut:
             past = past_of(test, (records.train, *records.others))
             every.append(test if past is None else joined(past, test))
             anew += [test] if past is None else []
-        if not all(starts_there(fit, test) for fit in pair for test in anew):
+        if any(not any(starts_there(fit, test) for fit in pair) for test in anew):
             pair = anywhere(*pair, records.train)
         wide = replace(search, base=pair[0], final=pair[1])
         found = with_noise_of(every, wide, self.searched)

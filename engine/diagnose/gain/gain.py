@@ -108,7 +108,7 @@ def measure_gain(
     ``history`` is the series that ends right before the only test: both filters then run through it and
     only the rows of the test are scored. So they do through that of the ``records`` which a test goes on with.
     Other tests begin anew, with ``anew`` for the extension where it is another one there, and anywhere where
-    they do not begin as the model says.
+    they begin as neither model says.
     """
     scored, elsewhere = [], 0
     for test in tests:
@@ -117,7 +117,7 @@ def measure_gain(
         first = len(whole) - len(test)
         rows = np.arange(len(whole)) >= first
         pair = base, extended if past is not None or anew is None else anew
-        if past is None and records and not all(starts_there(fit, test) for fit in pair):
+        if past is None and records and not any(starts_there(fit, test) for fit in pair):
             pair = anywhere(*pair, records[0])
             elsewhere += 1
         scored.append(score([Trial(*pair, rows)], whole, first))
