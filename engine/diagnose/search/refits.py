@@ -297,7 +297,8 @@ def _at_next_probes(
 ) -> QuasiFit:
     """The fit moved from probe to probe where these differ in what is held, as long as the likelihood rises.
 
-    Beside a large delay of another length all parameters are bent, and so was the choice of it.
+    Beside a large delay of another length all parameters are bent, and so was the choice of it. One that comes
+    late as a whole is later by as much: a share of it that comes later still would lead back.
     """
     apart, values = _probed_apart(effect)
     at = n + 1 + np.array(apart, dtype=int)
@@ -308,10 +309,12 @@ def _at_next_probes(
         if found is not first:  # from where it came
             break
         while True:
-            k = values.index(tuple(np.asarray(found.theta)[at].tolist())) + step
+            there = np.array(found.theta)
+            k = values.index(tuple(there[at].tolist())) + step
             if not 0 <= k < len(values):
                 break
-            there = np.array(found.theta)
+            if effect.traits.whole:
+                there[n] += values[k][0] - values[k - step][0]
             there[at] = values[k]
             try:
                 moved = climb(there, target=max(target, found.log_likelihood), hope=HOPE)

@@ -52,7 +52,7 @@ def late():
     return series, quasi_ml(exchanger(), series)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_refit_ends_at_the_length_that_is_likeliest(late):
     series, fit = late
     setting = setting_for(fit.model, series, np.asarray(fit.theta))

@@ -164,7 +164,7 @@ def test_how_a_record_begins_says_nothing_of_another_one():
     assert found.gain.samples == len(part)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_held_out_data_decide_where_the_record_cannot():
     """An offset of the sensor and another first charge are the same here, and not in a later record."""
     model, series = cell(500, np.random.default_rng(2))
