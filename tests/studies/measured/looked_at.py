@@ -16,8 +16,9 @@ where the random walk has followed the step after a few months.""",
 As documented: the model's own friction, 19.1 N, and its own offset, -3.3 N, which were held at zero. Instead of
 them Coulomb or Stribeck friction as an effect, a dead zone, a saturation, a product of velocity and drive, and
 a drift of the reading run nearly alike on a record that repeats one movement, so it is a set, and only another
-record can part them. The test error is that of the reference. Held parameters are tried beside every leading effect since this row was looked at: before, effects
-that say the same had crowded out the held friction (6.2 mm).
+record can part them. The test error is that of the reference. Held parameters are tried beside every leading
+effect since this row was looked at: before, effects that say the same had crowded out the held friction (6.2
+mm).
 One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would end
 with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run better than
 the two that are named (4.2 mm). Its careful setting names one that is not there.
