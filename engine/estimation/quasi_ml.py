@@ -12,7 +12,7 @@ of theta, another a whole line search.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,6 +94,12 @@ class QuasiFit:
     def tied(self) -> tuple[str, ...]:
         """Free parameters that the data only determine together; nothing can be said of one alone."""
         return tuple(name for name, yes in zip(self.free, tied(self._flat), strict=True) if yes)
+
+    def holding(self, names: Collection[str]) -> QuasiFit:
+        """The same fit with what is known of the others where these free parameters are held."""
+        rest = [i for i, name in enumerate(self.free) if name not in names]
+        free = tuple(self.free[i] for i in rest)
+        return replace(self, free=free, information=self.information[np.ix_(rest, rest)])
 
     @property
     def ties(self) -> str:

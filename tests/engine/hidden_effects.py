@@ -155,6 +155,7 @@ CASES = {
         {"parameter_step_damping": 1.0, "parameter_step_damping_time": 16.0},
     ),
     "parameter-drift": ("damping", {"parameter_drift_damping": 1.2}),
+    "parameter-slope": ("force->damping", {"parameter_slope_force__damping": 0.5}),
     "parameter-bend": ("damping", {"parameter_bend_damping": 0.4}),
     "bend": ("reading", {"bend_reading": 0.4}),
     "time-step": ("dt", {"time_step_dt": 1.7}),

@@ -14,8 +14,9 @@ import numpy as np
 
 from engine.diagnose.effects.effect import Effect, add_to_output, add_to_state
 from engine.diagnose.effects.kinds import Kind, at_parameters, at_signals
+from engine.diagnose.effects.parameters import running_parameter, unit_of
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.time import over_the_record, running_parameter
+from engine.diagnose.effects.time import over_the_record
 from engine.diagnose.effects.traits import Course, Traits
 from engine.statespace.model import MixedModel, Parameter
 
@@ -97,12 +98,12 @@ def _bend(
 
 
 def _of_parameter(setting: Setting, channel: str, name: str) -> Effect:
-    unit = setting.model.parameters[setting.model.parameter_names.index(channel)].unit
-
     def adding(course: CourseOf) -> Callable[[MixedModel], MixedModel]:
-        return running_parameter(setting, channel, course, within_steps=True)
+        return running_parameter(
+            setting, channel, lambda t, u, own: course(t, own), within_steps=True
+        )
 
-    return _bend(setting, OF_PARAMETER, channel, name, unit, adding)
+    return _bend(setting, OF_PARAMETER, channel, name, unit_of(setting, channel), adding)
 
 
 def _of_signal(setting: Setting, channel: str, name: str) -> Effect:

@@ -28,6 +28,7 @@ from engine.diagnose.effects.kinds import Channels, Kind, Maker
 from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
 from engine.diagnose.effects.noise import KINDS as NOISE
 from engine.diagnose.effects.overflow import KINDS as OVERFLOW
+from engine.diagnose.effects.parameters import KINDS as OF_PARAMETERS
 from engine.diagnose.effects.paths import KINDS as PATHS
 from engine.diagnose.effects.play import KINDS as PLAY
 from engine.diagnose.effects.products import KINDS as PRODUCTS
@@ -61,6 +62,7 @@ SHIPPED: tuple[Kind, ...] = (
     *INPUT_FRICTION,
     *PATHS,
     *TIME,
+    *OF_PARAMETERS,
     *BEND,
     *GAIN_STEPS,
     *TIME_STEP,

@@ -1,4 +1,4 @@
-"""Effects of time: steps, ramps, pulses, harmonics, and parameters that change."""
+"""Effects of time: steps, ramps, pulses and harmonics."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ import numpy as np
 
 from engine.diagnose.effects.effect import (
     Effect,
-    Split,
     add_to_output,
     add_to_state,
-    on_base,
 )
 from engine.diagnose.effects.kinds import (
     Channels,
     Kind,
-    at_parameters,
     at_signals,
     each_signal,
     each_state,
 )
 from engine.diagnose.effects.setting import ON_TIME, SOME_TIME, Setting
 from engine.diagnose.effects.traits import USUAL, Course, Traits
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import MixedModel, Parameter
 from engine.units import frequency_in, product
 
 
@@ -154,80 +151,6 @@ def over_the_record(name: str, setting: Setting) -> list[Parameter]:
     ]
 
 
-def running_parameter(
-    setting: Setting,
-    channel: str,
-    course: Callable[[Any, Sequence[Any]], Any],
-    within_steps: bool,
-) -> Callable[[MixedModel], MixedModel]:
-    """What adds ``course(t, own parameters)`` to a parameter of a model, within the parameter's bounds.
-
-    Where it runs ``within_steps``, differential equations have its mean over the step: that of its middle.
-    """
-    index = setting.model.parameter_names.index(channel)
-    bounds = setting.model.parameters[index].bounds
-
-    def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
-
-        def at(t: Any, theta: Any) -> Any:
-            base, own = split(theta)
-            value = np.clip(base[index] + course(t, own), *bounds)
-            return base._replace(**{channel: value})
-
-        later = 0.5 if model.continuous and within_steps else 0.0
-
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            return model.transition(a, u, t, dt, at(t + later * dt if later else t, theta))
-
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            return model.observation(a, u, t, at(t, theta))
-
-        return on_base(model, split, dynamics=dynamics, measurement=measurement)
-
-    return extend
-
-
-def _parameter_change(kind: str, title: str) -> Kind:
-    """A parameter that steps at a time, or drifts linearly through the record."""
-
-    def make(setting: Setting, channel: str, name: str) -> Effect:
-        unit = setting.model.parameters[setting.model.parameter_names.index(channel)].unit
-        steps = kind == "parameter-step"
-        further = from_when(name, setting) if steps else over_the_record(name, setting)
-
-        def course(t: Any, own: Sequence[Any]) -> Any:
-            if steps:
-                return own[0] * since(t, own[1:], setting.later)
-            return own[0] * ((setting.anew(t) - own[1]) / own[2])
-
-        return Effect(
-            kind,
-            channel,
-            "time",
-            f"{title} of the parameter {channel}",
-            f"{channel} -> {channel} + {name} * "
-            + (
-                f"[t >= {name}_time]{lasting(further)}"
-                if steps
-                else f"(t - {name}_middle) / {name}_per{setting.counted}"
-            ),
-            (Parameter(name, 0.0, unit, description=title), *further),
-            running_parameter(setting, channel, course, within_steps=not steps),
-            probes=(tuple(p.default for p in further),),
-            held=tuple(p.name for p in further[steps:]),
-            look_alikes={
-                "cubic": "depends on the state",
-                "step": "changes once, whatever the state",
-            },
-            traits=Traits(
-                Course.STEP if steps else Course.DRIFT, of_parameter=True, swallowed=steps
-            ),
-        )
-
-    return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
-
-
 def _pulse(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
     """1 from the sample at own[0] on for own[1] seconds; ends may be off by their rounding."""
     since = (t - own[0]) / own[1]
@@ -301,6 +224,4 @@ KINDS: list[Kind] = [
         power=1.0,
     ),
     at_signals("harmonic", _harmonic),
-    _parameter_change("parameter-step", "step"),
-    _parameter_change("parameter-drift", "drift"),
 ]

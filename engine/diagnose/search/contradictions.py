@@ -12,8 +12,10 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
+from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.rbpf import rbpf
 from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.ties import flat_directions, to_hold
 from engine.words import enumerated, number, with_unit
 
 LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
@@ -30,20 +32,33 @@ SHARE = 0.5  # of the moment filter's gain, that the particle filter must at lea
 Given: TypeAlias = tuple[MixedModel, ThetaLike]  # a model with its parameters
 
 
-def undetermined(found: Sequence[Round]) -> list[str]:
-    """A sentence for each effect whose estimated size may as well be zero."""
-    return [text for text in (_undetermined(r.refits[0]) for r in found) if text]
+def undetermined(found: Sequence[Round], base: QuasiFit) -> list[str]:
+    """A sentence for each effect whose estimated size may as well be zero.
+
+    Of parameters of the ``base`` that data only determine together one is held: where all masses and forces
+    may be twice as large, so may a friction, which therefore is not zero.
+    """
+    held = one_of_each_tie(base)
+    return [text for text in (_undetermined(r.refits[0], held) for r in found) if text]
 
 
-def _undetermined(refit: Refit) -> str:
+def one_of_each_tie(base: QuasiFit) -> list[str]:
+    """The parameters without which the others of a fit are determined; none that the data say nothing of."""
+    known = np.flatnonzero(np.diag(base.information) > 0.0)
+    flat = flat_directions(base.information[np.ix_(known, known)])
+    return [base.free[k] for k in known[to_hold(flat)].tolist()]
+
+
+def _undetermined(refit: Refit, held: Sequence[str]) -> str:
     effect = refit.effect
     # of a share or a variance the error is no Gaussian one
     if effect.traits.outliers or effect.one_sided:
         return ""
     amplitudes = [effect.size.name, f"{effect.size.name}_sine"]
-    at = [refit.fit.free.index(name) for name in amplitudes if name in refit.fit.free]
-    values = np.array([refit.fit.theta[refit.fit.free[i]] for i in at])
-    covariance = refit.fit.covariance[np.ix_(at, at)]
+    fit = refit.fit.holding(held)
+    at = [fit.free.index(name) for name in amplitudes if name in fit.free]
+    values = np.array([fit.theta[fit.free[i]] for i in at])
+    covariance = fit.covariance[np.ix_(at, at)]
     if not np.isfinite(covariance).all():
         return _sentence(refit)
     wald = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)

@@ -91,7 +91,7 @@ def judged(
     named = [r for r in found.rounds if r.equivalent]
     own_terms = already_there(named)
     against = [
-        *undetermined(named),
+        *undetermined(named, base),
         *own_terms.values(),
         *folded(named, series, setting),
         *outliers_at_inputs(named, base, series, seed),

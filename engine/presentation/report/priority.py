@@ -12,8 +12,8 @@ _KINDS = (
     "coulomb", "bias", "drag", "gain", "delay", "input-offset", "input-gain", "cubic", "lag", "input-deadzone",
     "saturation", "input-coulomb", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone",
     "stribeck", "slow-sensor", "slow-input", "overflow", "play", "direct", "path", "extra-input",
-    "parameter-step", "input-gain-step", "gain-step", "input-drag", "colored", "hysteresis", "boucwen",
-    "cogging", "linear", "start",
+    "parameter-step", "parameter-slope", "input-gain-step", "gain-step", "input-drag", "colored", "hysteresis",
+    "boucwen", "cogging", "linear", "start",
 )  # fmt: skip
 
 

@@ -28,6 +28,10 @@ def found(name, size, error, second=None):
     return SimpleNamespace(refits=(Refit(effect, fit, 40.0, 40.0),))
 
 
+# a fit of two parameters, each determined by itself
+NO_TIES = QuasiFit(DRIVE, DRIVE.theta(), 0.0, ("damping", "load"), np.eye(2), 1, True)
+
+
 @pytest.mark.parametrize(
     ("rhos", "said"),
     [
@@ -61,7 +65,7 @@ def test_a_term_of_the_model_is_no_second_cause(rhos, said):
     ],
 )
 def test_a_size_that_may_as_well_be_zero_is_no_finding(name, size, error, second, said):
-    texts = undetermined([found(name, size, error, second)])
+    texts = undetermined([found(name, size, error, second)], NO_TIES)
     assert bool(texts) is said
     assert all(name in text for text in texts)
 
@@ -71,7 +75,7 @@ def test_an_undetermined_size_makes_the_verdict_unknown(monkeypatch):
     series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
     named = find_causes(DRIVE, series, effects=["bias"], seed=1)
     assert named.verdict.value == "named"
-    monkeypatch.setattr(judgement, "undetermined", lambda rounds: ["because"])
+    monkeypatch.setattr(judgement, "undetermined", lambda rounds, base: ["because"])
     again = find_causes(DRIVE, series, effects=["bias"], seed=1)
     assert again.verdict.value == "unknown"
     assert "because" in again.notes

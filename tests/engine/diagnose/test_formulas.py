@@ -203,6 +203,15 @@ def test_a_parameter_changes_with_time_within_its_bounds(name, own, damping):
         same(step(model, t, theta=THETA + own), step(DRIVE, theta=[damping(t), 1.0]))
 
 
+@pytest.mark.parametrize(
+    ("own", "damping"),
+    [([0.5, 0.3], 1.0 + 0.5 * (FORCE - 0.3)), ([-5.0, 0.3], 0.0)],  # not below its bound
+)
+def test_a_parameter_depends_on_an_input_within_its_bounds(own, damping):
+    model = make_effect("parameter-slope:force->damping", SETTING).apply(DRIVE)
+    same(step(model, theta=THETA + own), step(DRIVE, theta=[damping, 1.0]))
+
+
 def test_a_parameter_that_was_held_moves_to_one_side_only_where_it_is_at_its_bound():
     for value, one_sided in ((0.0, True), (1.5, False)):
         record = Record({}, np.zeros(2), np.ones(2), np.array([value, 1.0]))

@@ -1,0 +1,159 @@
+"""Parameters that change: at a time, with time, or with an input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.effect import Effect, Split, on_base
+from engine.diagnose.effects.kinds import Kind, at_parameters
+from engine.diagnose.effects.rates import moved_by
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.time import from_when, lasting, over_the_record, since
+from engine.diagnose.effects.traits import ANY, Course, Traits
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import product
+
+ONTO = "->"
+
+# (t, u, the effect's own values) -> what is added to the parameter
+CourseOf = Callable[[Any, Any, Sequence[Any]], Any]
+
+
+def running_parameter(
+    setting: Setting, channel: str, course: CourseOf, within_steps: bool
+) -> Callable[[MixedModel], MixedModel]:
+    """What adds ``course`` to a parameter of a model, within the parameter's bounds.
+
+    Where it runs ``within_steps``, differential equations have its mean over the step: that of its middle.
+    """
+    index = setting.model.parameter_names.index(channel)
+    bounds = setting.model.parameters[index].bounds
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+
+        def at(t: Any, u: Any, theta: Any) -> Any:
+            base, own = split(theta)
+            value = np.clip(base[index] + course(t, u, own), *bounds)
+            return base._replace(**{channel: value})
+
+        later = 0.5 if model.continuous and within_steps else 0.0
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            return model.transition(a, u, t, dt, at(t + later * dt if later else t, u, theta))
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            return model.observation(a, u, t, at(t, u, theta))
+
+        return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+    return extend
+
+
+def unit_of(setting: Setting, channel: str) -> str:
+    """Unit of a parameter."""
+    return setting.model.parameters[setting.model.parameter_names.index(channel)].unit
+
+
+def _change(kind: str, title: str) -> Kind:
+    """A parameter that steps at a time, or drifts linearly through the record."""
+
+    def make(setting: Setting, channel: str, name: str) -> Effect:
+        steps = kind == "parameter-step"
+        further = from_when(name, setting) if steps else over_the_record(name, setting)
+
+        def course(t: Any, u: Any, own: Sequence[Any]) -> Any:
+            if steps:
+                return own[0] * since(t, own[1:], setting.later)
+            return own[0] * ((setting.anew(t) - own[1]) / own[2])
+
+        return Effect(
+            kind,
+            channel,
+            "time",
+            f"{title} of the parameter {channel}",
+            f"{channel} -> {channel} + {name} * "
+            + (
+                f"[t >= {name}_time]{lasting(further)}"
+                if steps
+                else f"(t - {name}_middle) / {name}_per{setting.counted}"
+            ),
+            (Parameter(name, 0.0, unit_of(setting, channel), description=title), *further),
+            running_parameter(setting, channel, course, within_steps=not steps),
+            probes=(tuple(p.default for p in further),),
+            held=tuple(p.name for p in further[steps:]),
+            look_alikes={
+                "cubic": "depends on the state",
+                "step": "changes once, whatever the state",
+            },
+            traits=Traits(
+                Course.STEP if steps else Course.DRIFT, of_parameter=True, swallowed=steps
+            ),
+        )
+
+    return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
+
+
+def _slope(setting: Setting, channel: str) -> Effect | None:
+    """``input->parameter``: a loss that grows with the wind, a resistance that depends on the temperature."""
+    source, _, target = channel.partition(ONTO)
+    if source not in setting.model.inputs or target not in setting.model.parameter_names:
+        return None
+    name = setting.identifier("parameter-slope", channel)
+    unit = setting.unit(source)
+    # counted from the middle of the record, the parameter itself stays what it is on the whole
+    middle = Parameter(
+        f"{name}_middle",
+        setting.quantile(source, 0.5),
+        unit,
+        description=f"{source} where it is zero",
+    )
+    slope = Parameter(
+        name,
+        0.0,
+        product(unit_of(setting, target), (unit, -1.0)),
+        description=f"{target} per {source}",
+    )
+    row = list(setting.model.inputs).index(source)
+    left_out = ", which the model leaves out" if source in setting.extra else ""
+
+    def course(t: Any, u: Any, own: Sequence[Any]) -> Any:
+        return own[0] * (u[row] - own[1])
+
+    return Effect(
+        "parameter-slope",
+        channel,
+        "input",
+        f"dependence of the parameter {target} on {source}{left_out}",
+        f"{target} -> {target} + {name} * ({source} - {middle.name})",
+        (slope, middle),
+        running_parameter(setting, target, course, within_steps=False),
+        probes=((middle.default,),),
+        held=(middle.name,),
+        look_alikes={
+            "product": "one of its terms only",
+            "parameter-drift": "changes with time, whatever the input",
+            "input-gain": "is the same at any size of the input",
+        },
+        traits=Traits(of_parameter=True, plainness=ANY + 1),
+    )
+
+
+def _each_slope(setting: Setting) -> Iterator[str]:
+    """Each parameter but those of noise with each input, also with one that the model leaves out."""
+    if not setting.model.nu:
+        return
+    points, theta = setting.points(setting.model)
+    for target in setting.model.parameter_names:
+        if any(moved_by(setting.model, theta, points, target)):
+            yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
+
+
+KINDS: list[Kind] = [
+    _change("parameter-step", "step"),
+    _change("parameter-drift", "drift"),
+    ("parameter-slope", _slope, _each_slope),
+]
