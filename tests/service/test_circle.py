@@ -116,6 +116,70 @@ def test_a_hidden_effect_is_found_estimated_and_simulated(client, ended, record,
     assert errors[1] < 0.25 * errors[0]
 
 
+def driven_with_dry_friction(friction, seed=7):
+    """M v' = k u - c v - friction sign(v) by Euler's rule at a 40th of the sample; it sticks at rest."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-6.0, 6.0, 20), 20)
+    dt, fine = 0.02, 40
+    h, x, v, y = dt / fine, 0.0, 0.0, np.zeros(len(u))
+    for k, volts in enumerate(u):
+        y[k] = x + 2e-4 * rng.standard_normal()
+        for _ in range(fine):
+            push = 35.0 * volts - 210.0 * v
+            way = np.sign(v) or np.sign(push)
+            if v == 0.0 and abs(push) <= friction:
+                continue
+            after = (
+                v + h * (push - way * friction) / 95.0 + 0.02 * np.sqrt(h) * rng.standard_normal()
+            )
+            after = 0.0 if after * v < 0.0 else after
+            x, v = x + 0.5 * h * (v + after), after
+    return {"y": y.tolist(), "u": u.tolist(), "dt": dt}
+
+
+@pytest.mark.slow
+def test_dry_friction_is_found_and_estimated_by_particles(client, ended):
+    """What jumps at a sign has no slopes there; the particles need none."""
+    record = driven_with_dry_friction(25.0)
+    free = ["M", "Fv", "sigma_v", "sigma_y"]  # of its forces only ratios show: the motor's is known
+    _, found = run(
+        client,
+        ended,
+        {
+            "kind": "diagnose",
+            "model": "servo",
+            "series": [record],
+            "parameters": {"start": {"Fc": 0.0, "offset": 0.0, "sigma_load": 0.0}, "free": free},
+            "options": {
+                "effects": ["coulomb", "drag", "bias", "input-gain", "input-deadzone", "held"],
+                "seed": 1,
+            },
+        },
+    )
+    found = found["diagnosis"]
+    (cause,) = found["causes"]
+    assert (found["verdict"], cause["effect"]) == (
+        "named",
+        "held:Fc",
+    )  # what the model has is preferred
+    assert found["gain"]["adopt"]
+    _, fitted = run(
+        client,
+        ended,
+        {
+            "kind": "estimate",
+            "model": found["extension"]["model"],
+            "series": [record],
+            "parameters": {"start": found["extension"]["theta"], "free": [*free, "held_Fc"]},
+            "options": {"particles": 50, "iterations": 25, "seed": 1, "intervals": "symmetric"},
+        },
+    )
+    friction = fitted["estimate"]["held_Fc"]
+    for one in (cause["size"], friction["value"]):
+        assert one == pytest.approx(25.0, abs=3.0 * friction["standard_error"])
+    assert 0.0 < friction["standard_error"] < 3.0
+
+
 @pytest.mark.slow
 def test_steps_within_a_sample_are_those_of_the_library(client, ended, record):
     """The same run as in the library on the refined series; a model without a real time step refuses them."""
