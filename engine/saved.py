@@ -181,7 +181,7 @@ def _content(found: Kept) -> tuple[str, dict[str, Any]]:
 
 def _em(model: Any, content: Mapping[str, Any]) -> EmResult:
     content = {"memory": [[]] * len(content["ess"]), **content}  # an earlier version has none
-    arrays = {name: np.array(content[name], dtype=float) for name in ARRAYS}
+    arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in ARRAYS}
     arrays["trace"] = arrays["trace"].reshape(-1, len(model.parameters))
     return EmResult(
         model=model,

@@ -7,11 +7,13 @@ tell the parameters of its eigenvector apart, and inverses of the information ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
+from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from engine.arrays import Array
@@ -74,3 +76,41 @@ def ties_in_words(names: Sequence[str], directions: Array) -> str:
     if lost:
         out.append(f"Not determined by these data, keep fixed: {', '.join(lost)}.")
     return " ".join(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Ties:
+    """What data only determine together: parameters ``names`` (n,), along ``directions`` (n or more, m)."""
+
+    names: Sequence[str] = ()
+    directions: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def in_words(self) -> str:
+        """A sentence, with what to do; empty where nothing is tied."""
+        return ties_in_words(self.names, self.directions)
+
+    def held(self, sides: Mapping[str, int]) -> dict[str, int]:
+        """Those parameters at bounds (1 at the upper, -1 at the lower) that the data hold there.
+
+        Where others make up for what a parameter does, it may as well be inside, so that the data do not draw
+        it to its bound. That others at bounds leave no room for this is seen.
+        """
+        V = self.directions
+        at = [i for i, name in enumerate(self.names) if name in sides]
+        if not (at and V.size):
+            return dict(sides)
+        outward = np.array([[sides[self.names[i]]] for i in at]) * V[at]
+        alone = np.linalg.norm(V[at], axis=1) ** 2 > 1.0 - TIED**2  # nothing is known of it: no tie
+        loose = {
+            self.names[i]
+            for i, row, unknown in zip(at, outward, alone, strict=True)
+            if not unknown and _leaves(row, outward)
+        }
+        return {name: side for name, side in sides.items() if name not in loose}
+
+
+def _leaves(row: Array, outward: Array) -> bool:
+    """Whether some combination of directions moves one parameter inwards and none ``outward`` (k, m)."""
+    found = linprog(row, A_ub=outward, b_ub=np.zeros(len(outward)), bounds=(-1.0, 1.0))
+    return bool(found.status == 0 and float(found.fun or 0.0) < -TIED)

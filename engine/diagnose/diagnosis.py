@@ -170,9 +170,10 @@ class Diagnosis(Shown):
 
         Before anything was added, or with what was found: that may say again what the parameter has said.
         """
-        fit = self.before
-        before = {*fit.model.at_bounds(fit.theta, fit.free)} if self.causes else set()
-        still = {*self.extended.at_bounds(self.theta, fit.free)} if self.causes else set()
+        fit, before, still = self.before, set[str](), set[str]()
+        if self.causes:
+            before = {*fit.model.stopped_by_bounds(fit.theta, fit.free, fit.ties)}
+            still = {*self.extended.stopped_by_bounds(self.theta, fit.free, self.after.ties)}
         noise = set[str]()
         if before | still:
             with suppress(EngineError, np.linalg.LinAlgError):

@@ -35,6 +35,7 @@ from engine.estimation.wandering import (
 )
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
+from engine.ties import Ties
 
 TOLD_SHARE = 0.01  # of rows with one particle left, that is worth a word
 
@@ -105,7 +106,7 @@ def iterate(
     if last is None and log.k:  # all was done before: the last iteration again, for what it said
         last = steps.move(log.k, log.trace[:-1], log.memory[:-1], steps.least(log.rows[:-1]))
     names = tuple(model.parameter_names[i] for i in indices)
-    ties = "" if last is None or outcome is Outcome.DIVERGED else steps.ties(last)
+    ties = Ties() if last is None or outcome is Outcome.DIVERGED else steps.ties(last)
     found = log.result(names, outcome, last, ties)
     if likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
@@ -221,7 +222,7 @@ class _Log:
         return outcome is Outcome.CONVERGED or (outcome is Outcome.ITERATIONS_USED_UP and enough)
 
     def result(
-        self, names: tuple[str, ...], outcome: Outcome, last: Maximized | None, ties: str
+        self, names: tuple[str, ...], outcome: Outcome, last: Maximized | None, ties: Ties
     ) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
         log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T
@@ -247,10 +248,10 @@ class _Log:
                 f" Not estimated, as the likelihood does not depend on them here or cannot be had: "
                 f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
             )
-        message = f"{message} {ties}".rstrip()
+        message = f"{message} {ties.in_words}".rstrip()
         estimate = Theta(theta, self.model.parameter_names)
         if outcome is not Outcome.DIVERGED:
-            held = self.model.held_in_words(estimate, names)
+            held = self.model.held_in_words(estimate, names, ties)
             message = f"{message} {held}".rstrip()
         return EmResult(
             self.model,
@@ -265,4 +266,5 @@ class _Log:
             message,
             stuck,
             np.array([self._packed(m) for m in self.memory]).reshape(self.k, -1),
+            ties,
         )

@@ -13,6 +13,7 @@ from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import width
 from engine.statespace.base import Array, BaseModel, Theta
 from engine.statespace.model import MixedModel
+from engine.ties import Ties
 from engine.views import Figures, Shown, View, figures, frame, plots, save, sheet, tables
 from engine.words import tidy
 
@@ -114,6 +115,8 @@ class EmResult(Shown):
         Free parameters that nothing could move: they are where they started.
     memory : array (K, m)
         What the quasi-Newton method needs to go on, see :class:`Checkpoint`.
+    ties : Ties
+        What is only determined together, by which ``message`` tells what bounds hold; a file does not keep it.
     """
 
     model: BaseModel
@@ -128,6 +131,7 @@ class EmResult(Shown):
     message: str
     not_estimated: tuple[str, ...] = ()
     memory: Array = field(default_factory=lambda: np.empty((0, 0)))
+    ties: Ties = field(default_factory=Ties)
 
     @property
     def checkpoint(self) -> Checkpoint:

@@ -22,6 +22,7 @@ from engine.estimation.wandering import clearly_likelier
 from engine.filters.lost import FAR_NATS, nats_apart
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel, Theta
+from engine.ties import Ties
 
 SHARES = 2.0 ** -np.arange(30.0)  # of a step that is too long
 
@@ -223,16 +224,16 @@ class Steps:
                 return Theta(new, at.names)
         return at
 
-    def ties(self, last: Maximized) -> str:
-        """Which of the parameters that it moved are only determined together, in a sentence."""
+    def ties(self, last: Maximized) -> Ties:
+        """Which of the parameters that it moved are only determined together."""
         silent = last.not_moved(list(self.indices))
         moved = np.array([k for k in self.indices if last.at.names[k] not in silent], np.intp)
         if self.likelihood is None or not moved.size:
-            return ""
+            return Ties()
         try:
             complete = score_of(last.q, last.at, moved, self.likelihood)[1]
         except ModelError:
-            return ""
+            return Ties()
         return self.likelihood.ties(last.at, moved, complete)
 
     def m_step(self, expected: Expected) -> Maximized:

@@ -20,7 +20,7 @@ from engine.errors import ModelError
 from engine.estimation.maximization import Objective
 from engine.estimation.quasi_ml import derivatives, log_likelihoods, quasi_ml
 from engine.statespace.model import Array, MixedModel, Theta
-from engine.ties import FLAT, flat_directions, ties_in_words
+from engine.ties import FLAT, Ties, flat_directions
 
 LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
 LIKELIER = 1.0  # nats by which another point must be likelier for an estimate to move there
@@ -103,17 +103,17 @@ class LikelihoodStep:
             return None
         return found if np.isfinite(value) else None
 
-    def ties(self, theta: Theta, indices: NDArray[np.intp], complete: Array) -> str:
-        """Which parameters are surely only determined together, in a sentence; empty where none are.
+    def ties(self, theta: Theta, indices: NDArray[np.intp], complete: Array) -> Ties:
+        """Which parameters are surely only determined together.
 
         ``complete`` (n, n) is the complete-data information in the parameters ``indices`` (n,).
         """
         found = self.information(np.asarray(theta), indices)
         if found is None:
-            return ""
+            return Ties()
         flat = flat_directions(found)
         surely = surely_flat(flat, found, complete)[2]
-        return ties_in_words([theta.names[i] for i in indices], flat[:, surely])
+        return Ties([theta.names[i] for i in indices], flat[:, surely])
 
     def score(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""

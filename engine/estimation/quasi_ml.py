@@ -29,7 +29,7 @@ from engine.filters.sigma_point import free_thetas, moment_filter
 from engine.statespace.checks import check_start, with_least_noise
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
-from engine.ties import flat_directions, tied, ties_in_words
+from engine.ties import Ties, flat_directions, tied
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 ONE_SIDED = 1e-6  # of it, where a bound leaves one side
@@ -102,9 +102,9 @@ class QuasiFit:
         return replace(self, free=free, information=self.information[np.ix_(rest, rest)])
 
     @property
-    def ties(self) -> str:
-        """The same in a sentence, with what to do; empty where there are none."""
-        return ties_in_words(self.free, self._flat)
+    def ties(self) -> Ties:
+        """The same with the directions."""
+        return Ties(self.free, self._flat)
 
     @property
     def _flat(self) -> Array:

@@ -85,7 +85,9 @@ class Summit:
         if not asked:
             return found
         rest = [name for name in found.free if name not in asked]
-        before, now = (found.model.held_in_words(found.theta, free) for free in (found.free, rest))
+        before, now = (
+            found.model.held_in_words(found.theta, free, found.ties) for free in (found.free, rest)
+        )
         message = f"{found.message.removesuffix(before).rstrip()} {now}".rstrip()
         return replace(found, message=message)
 

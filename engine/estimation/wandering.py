@@ -168,7 +168,8 @@ def kept_best(found: EmResult, particles: ParticleStep, seed: int) -> EmResult:
 
 def moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
     """The result at another theta; ``said`` joins the message, whose end tells which bounds hold it."""
-    before, now = (found.model.held_in_words(one, found.free) for one in (found.theta, theta))
+    free, ties = found.free, found.ties
+    before, now = (found.model.held_in_words(one, free, ties) for one in (found.theta, theta))
     message = found.message.removesuffix(before).rstrip() + said
     return replace(found, theta=theta, message=f"{message} {now}".rstrip())
 

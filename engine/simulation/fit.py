@@ -35,7 +35,7 @@ from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.threads import single_threaded
-from engine.ties import ties_in_words
+from engine.ties import Ties
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
 from engine.words import Told, digits, errors_in_words, hardly_told, tidy
 
@@ -264,7 +264,7 @@ def fit_simulation(
     covariance = np.zeros((theta.size, theta.size))
     covariance[np.ix_(problem.active, problem.active)] = found.covariance[:k, :k]
     estimated = problem.names(problem.active)
-    tied = problem.names(problem.active[found.tied[:k]])
+    ties, tied = Ties(estimated, found.directions), problem.names(problem.active[found.tied[:k]])
     errors = np.sqrt(np.diag(covariance))
     known = {name: float(errors[model.index(name)]) for name in estimated if name not in tied}
     hardly = model.hardly_known(theta, known)
@@ -276,8 +276,8 @@ def fit_simulation(
         parts = [
             _ended(best, stopped) if estimated else NOTHING,
             _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
-            ties_in_words(estimated, found.directions),
-            model.held_in_words(theta, [name for name in estimated if name not in hardly]),
+            ties.in_words,
+            model.held_in_words(theta, [name for name in estimated if name not in hardly], ties),
             hardly_told(hardly),
             faults,
             clock,

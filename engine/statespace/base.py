@@ -16,10 +16,12 @@ from engine.arrays import Array as Array
 from engine.errors import OptionError
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.trial import Regular
+from engine.ties import Ties
 from engine.views import Shown, View, sheet, tables
 from engine.words import held_by_bounds, tidy
 
 ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
+NONE = Ties()
 
 
 @dataclass(frozen=True)
@@ -209,17 +211,28 @@ class BaseModel(Shown):
             ) from None
 
     def at_bounds(self, theta: ThetaLike, free: Sequence[str]) -> tuple[str, ...]:
-        """Those of the ``free`` parameters that a bound has stopped: the data draw them to it or beyond."""
-        stopped = set()
+        """Those of the ``free`` parameters that are at a bound."""
+        return tuple(self._sides(theta, free))
+
+    def stopped_by_bounds(
+        self, theta: ThetaLike, free: Sequence[str], ties: Ties = NONE
+    ) -> tuple[str, ...]:
+        """Those at a bound that the data draw there or beyond: none for which others make up (``ties``)."""
+        return tuple(ties.held(self._sides(theta, free)))
+
+    def _sides(self, theta: ThetaLike, free: Sequence[str]) -> dict[str, int]:
+        """The ``free`` parameters at a bound, 1 at the upper and -1 at the lower, in the order of ``free``."""
+        sides = {}
         for p, value in zip(self.parameters, self.theta(theta).tolist(), strict=True):
             near = AT_BOUND * max(abs(value), abs(p.default), p.scale)
-            if any(abs(value - bound) <= near for bound in p.bounds):
-                stopped.add(p.name)
-        return tuple(name for name in free if name in stopped)
+            for bound, side in zip(p.bounds, (-1, 1), strict=True):
+                if abs(value - bound) <= near:
+                    sides[p.name] = side
+        return {name: sides[name] for name in free if name in sides}
 
-    def held_in_words(self, theta: ThetaLike, free: Sequence[str]) -> str:
+    def held_in_words(self, theta: ThetaLike, free: Sequence[str], ties: Ties = NONE) -> str:
         """A sentence about those of the ``free`` parameters that a bound has stopped; empty where none is."""
-        at = self.at_bounds(theta, free)
+        at = self.stopped_by_bounds(theta, free, ties)
         low = {p.name for p in self.parameters if p.bounds[0] == 0.0 < p.bounds[1]}
         values = dict(zip(self.parameter_names, self.theta(theta).tolist(), strict=True))
         middle = {p.name: 0.5 * p.bounds[1] for p in self.parameters}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import engine
 from engine import Gaussian, MixedModel, Parameter, Series
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.quasi_ml import quasi_ml
-from engine.ties import flat_directions, tied, ties_in_words, to_hold
+from engine.ties import Ties, flat_directions, tied, ties_in_words, to_hold
 
 SAID = "Only determined together, keep one of them fixed: b1, b2."
 FEW = {"n_particles": 20, "n_trajectories": 20}
@@ -111,7 +112,7 @@ def test_factors_of_a_product_have_no_errors_of_their_own(options, best):
 
 def test_so_has_the_moment_filters_maximum(best):
     assert best.tied == ("b1", "b2")
-    assert best.ties == SAID
+    assert best.ties.in_words == SAID
     assert np.isinf(best.standard_errors).tolist() == [False, True, True, False]
 
 
@@ -217,7 +218,7 @@ def test_directions_are_free_of_units(units):
 
 def test_a_series_without_input_determines_no_gain():
     quiet = Series(SERIES.y, np.zeros(len(SERIES)), dt=1.0)
-    assert quasi_ml(PRODUCT, quiet, max_iterations=1).ties == (
+    assert quasi_ml(PRODUCT, quiet, max_iterations=1).ties.in_words == (
         "Not determined by these data, keep fixed: b1, b2."
     )
 
@@ -288,3 +289,37 @@ def test_a_parameter_that_the_record_hardly_tells_is_said_to_be(unit):
     errors = engine.standard_errors(model, held.theta, series, exact=True)
     assert said in errors.warning
     assert np.isfinite(errors.values).all()
+
+
+@pytest.mark.parametrize(
+    ("sides", "held"),
+    [
+        ({"b1": 1}, {}),  # b2 makes up for it
+        ({"b1": 1, "b2": -1}, {}),  # both may be inside, the product is the same
+        ({"b1": 1, "b2": 1}, {"b1": 1, "b2": 1}),  # data ask for a larger product
+        ({"c": 1, "b2": 1}, {"c": 1}),  # determined by itself
+        ({"idle": -1}, {"idle": -1}),  # data say nothing of it, and nothing makes up for it
+    ],
+)
+def test_a_bound_does_not_hold_what_others_make_up_for(sides, held):
+    apart = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, np.sqrt(2.0)]]).T / np.sqrt(2.0)
+    names = ("b1", "b2", "c", "idle")
+    mixed = apart @ np.array([[0.6, -0.8], [0.8, 0.6]])  # eigenvectors of one value are any such
+    assert Ties(names, apart).held(sides) == Ties(names, mixed).held(sides) == held
+    assert Ties().held(sides) == sides
+
+
+@pytest.mark.long
+def test_the_value_of_a_tied_parameter_at_its_bound_is_not_the_bounds():
+    parameters = [
+        replace(p, bounds=(0.0, 0.8)) if p.name == "b1" else p for p in PRODUCT.parameters
+    ]
+    bounded = PRODUCT.with_parameters(parameters)
+    fitted = engine.fit_simulation(bounded, SERIES, {"b2": 0.4}, ["p", "b1", "b2"], n_starts=1)
+    assert "Only determined together" in fitted.message
+    assert "Stopped by a bound" not in fitted.message
+    alone = engine.fit_simulation(bounded, SERIES, {"b2": 0.4}, ["p", "b1"], n_starts=1)
+    assert "Stopped by a bound: b1" in alone.message
+    em = engine.rbps_em(bounded, SERIES, {"b2": 0.3, "b1": 0.79}, ["b1", "b2"], 10, 4, seed=1)
+    assert bounded.at_bounds(em.theta, ["b1"]) == ("b1",)
+    assert "Stopped by a bound" not in em.message
