@@ -7,7 +7,7 @@ tell the parameters of its eigenvector apart, and inverses of the information ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -52,6 +52,29 @@ def to_hold(directions: Array) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     pivots = qr(directions.T, mode="r", pivoting=True)[1]
     return np.sort(pivots[: directions.shape[1]]).astype(np.intp)
+
+
+def is_open(values: Array, errors: Array, least: float) -> NDArray[np.bool_]:
+    """Which values (n,) are less than ``least`` standard errors (n,) from 0; none that is 0 itself."""
+    return np.asarray((values != 0.0) & ~(np.abs(values) >= least * errors))
+
+
+def held_as_open(
+    values: Array, may: NDArray[np.bool_], errors: Callable[[list[int]], Array], least: float
+) -> list[int]:
+    """Positions of parameters (n,) without which those that ``may`` be held are no longer open.
+
+    The most open first. ``errors(held)`` are the standard errors (n,) with some held, which are not looked at.
+    """
+    held: list[int] = []
+    while True:
+        now = errors(held)
+        left = may & is_open(values, now, least)
+        left[held] = False
+        if not left.any():
+            return held
+        share = np.where(left, now / np.where(left, np.abs(values), 1.0), -np.inf)
+        held.append(int(np.argmax(share)))
 
 
 def ties_in_words(names: Sequence[str], directions: Array) -> str:

@@ -26,6 +26,7 @@ from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import as_foreseen, rank
 from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array, Theta
+from engine.ties import held_as_open, is_open
 
 STAGE = "free run"
 SEEN, ENDED = 0.1, 0.9  # of a round: its alarm, and all but the ends of what survives
@@ -137,7 +138,7 @@ def one_round(
     worth = _worth_judging(found, len(fit.effects), answers)
     judged = _judged(fit, own, worth, folds, progress)
     progress(STAGE, 1.0)
-    left = survivors(own, judged, setting, min(len(found), JUDGED))
+    left = survivors(own, judged, setting, min(len(found), JUDGED), fit)
     return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
 
 
@@ -247,17 +248,25 @@ def _judged(
 
 
 def survivors(
-    own: Array, judged: Sequence[Candidate], setting: Setting, among: int = 0
+    own: Array,
+    judged: Sequence[Candidate],
+    setting: Setting,
+    among: int = 0,
+    before: Fitted | None = None,
 ) -> tuple[tuple[Candidate, ...], ...]:
     """Of those that gain, what is not worse than the best, in groups that run alike; the first one is chosen.
 
     Effects must earn their place, and so must parameters: of what is within ``EARNED`` of the best the fewest
     effects, of these what is within ``WORTH`` of their best, of these the fewest parameters. Others survive
-    where they have no more of either. The best is the best of those judged, of ``among`` at least.
+    where they have no more of either. The best is the best of those judged, of ``among`` at least. They are
+    added to the fit ``before``.
     """
     worth = np.nanmean(own) + np.log1p(-WORTH)
+    unsure = () if before is None else _open(before)
     gaining = [
-        c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth and _determined(c)
+        c
+        for c in judged
+        if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth and _determined(c, unsure)
     ]
     if not gaining:
         return ()
@@ -290,17 +299,34 @@ def survivors(
     return tuple(map(tuple, groups))
 
 
-def _determined(candidate: Candidate) -> bool:
+def _errors(fit: Fitted, held: Sequence[int] = ()) -> Array:
+    """Standard errors (k,) of the parameters that the run shows, with some held; inf of the tied ones."""
+    k = fit.n_parameters
+    rest = np.setdiff1d(np.arange(len(fit.p)), np.array(held, dtype=int))
+    known = fit.problem.uncertainty(fit.e, fit.J[:, rest])
+    errors = np.zeros(len(fit.p))
+    errors[rest] = np.where(known.tied, np.inf, np.sqrt(np.maximum(np.diag(known.covariance), 0.0)))
+    return errors[:k]
+
+
+def _open(fit: Fitted) -> tuple[str, ...]:
+    """Parameters that may as well be zero, such as all masses and forces together."""
+    k = fit.n_parameters
+    unsure = is_open(fit.p[:k], _errors(fit), LEAST_ERRORS)
+    return fit.problem.names(fit.problem.active[unsure])
+
+
+def _determined(candidate: Candidate, unsure: Sequence[str] = ()) -> bool:
     """Whether the sizes of all that it adds are away from zero; else it stands in for something else.
 
     So does what has a parameter of its own that the run does not show: a dead zone wider than the record is the
-    straight line within it.
+    straight line within it. What was ``unsure`` without it says nothing against a size that is as open.
     """
     fit = candidate.fit
     names = fit.problem.names(fit.problem.active)
     shown = {name for name, yes in zip(names, fit.problem.shows(fit.J), strict=True) if yes}
-    known = fit.problem.uncertainty(fit.e, fit.J)
-    errors = np.sqrt(np.maximum(np.diag(known.covariance), 0.0))
+    p, may = fit.p[: len(names)], np.isin(names, unsure)
+    errors = _errors(fit, held_as_open(p, may, lambda held: _errors(fit, held), LEAST_ERRORS))
     for effect in candidate.added:
         if effect.one_sided or effect.family == "parameter":  # a start value is no zero
             continue
@@ -308,7 +334,7 @@ def _determined(candidate: Candidate) -> bool:
         if not own & set(fit.free) <= shown:
             return False
         k = names.index(effect.size.name)
-        if known.tied[k] or not abs(fit.p[k]) >= LEAST_ERRORS * errors[k]:
+        if not abs(p[k]) >= LEAST_ERRORS * errors[k]:
             return False
     return True
 

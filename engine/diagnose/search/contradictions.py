@@ -15,7 +15,7 @@ from engine.diagnose.search.rounds import Round
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.rbpf import rbpf
 from engine.statespace.model import Array, MixedModel, ThetaLike
-from engine.ties import flat_directions, to_hold
+from engine.ties import held_as_open, is_open
 from engine.words import enumerated, number, with_unit
 
 LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
@@ -35,27 +35,56 @@ Given: TypeAlias = tuple[MixedModel, ThetaLike]  # a model with its parameters
 def undetermined(found: Sequence[Round], base: QuasiFit) -> list[str]:
     """A sentence for each effect whose estimated size may as well be zero.
 
-    Of parameters of the ``base`` that data only determine together one is held: where all masses and forces
-    may be twice as large, so may a friction, which therefore is not zero.
+    Where all masses and forces may be twice as large, so may a friction, and where nothing tells the unit of a
+    state: none of them is zero. So parameters that were as open in the ``base`` are held.
     """
-    held = one_of_each_tie(base)
-    return [text for text in (_undetermined(r.refits[0], held) for r in found) if text]
+    may = _open(base)
+    return [text for text in (_undetermined(r.refits[0], may) for r in found) if text]
 
 
-def one_of_each_tie(base: QuasiFit) -> list[str]:
-    """The parameters without which the others of a fit are determined; none that the data say nothing of."""
-    known = np.flatnonzero(np.diag(base.information) > 0.0)
-    flat = flat_directions(base.information[np.ix_(known, known)])
-    return [base.free[k] for k in known[to_hold(flat)].tolist()]
+def as_open(found: Sequence[Round], base: QuasiFit) -> list[str]:
+    """A sentence for each effect whose size is as little known as parameters that the model has."""
+    may, out = _open(base), []
+    for refit in (r.refits[0] for r in found):
+        known = dict(zip(refit.fit.free, refit.fit.standard_errors.tolist(), strict=True))
+        sure = abs(refit.size) >= LEAST_ERRORS * refit.standard_error
+        others = [n for n in may if not abs(refit.fit.theta[n]) >= LEAST_ERRORS * known[n]]
+        if others and not sure and not _undetermined(refit, may):
+            out.append(
+                f"The size of {refit.effect.name} is as little known as {enumerated(others)}: where one is "
+                "known, hold it there (theta=, free=)."
+            )
+    return out
 
 
-def _undetermined(refit: Refit, held: Sequence[str]) -> str:
+def _open(base: QuasiFit) -> list[str]:
+    """Parameters that may as well be zero, but those that the data say nothing of."""
+    known = np.diag(base.information) > 0.0
+    values = np.array([base.theta[name] for name in base.free])
+    unsure = known & is_open(values, base.standard_errors, LEAST_ERRORS)
+    return [name for name, yes in zip(base.free, unsure, strict=True) if yes]
+
+
+def held_beside(fit: QuasiFit, names: Sequence[str]) -> list[str]:
+    """Those of the ``names`` to hold, so that none is open in a fit."""
+
+    def errors(held: list[int]) -> Array:
+        rest = fit.holding([fit.free[k] for k in held])
+        known = dict(zip(rest.free, rest.standard_errors.tolist(), strict=True))
+        return np.array([known.get(name, 0.0) for name in fit.free])
+
+    values = np.array([fit.theta[name] for name in fit.free])
+    held = held_as_open(values, np.isin(fit.free, names), errors, LEAST_ERRORS)
+    return [fit.free[k] for k in held]
+
+
+def _undetermined(refit: Refit, may: Sequence[str]) -> str:
     effect = refit.effect
     # of a share or a variance the error is no Gaussian one
     if effect.traits.outliers or effect.one_sided:
         return ""
     amplitudes = [effect.size.name, f"{effect.size.name}_sine"]
-    fit = refit.fit.holding(held)
+    fit = refit.fit.holding(held_beside(refit.fit, may))
     at = [fit.free.index(name) for name in amplitudes if name in fit.free]
     values = np.array([fit.theta[fit.free[i]] for i in at])
     covariance = fit.covariance[np.ix_(at, at)]

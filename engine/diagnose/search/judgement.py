@@ -11,7 +11,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.tails import OUTLYING
 from engine.diagnose.search.at_inputs import outliers_at_inputs
 from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.contradictions import already_there, folded, undetermined
+from engine.diagnose.search.contradictions import already_there, as_open, folded, undetermined
 from engine.diagnose.search.dependent_rows import dependent_rows
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.found import Search
@@ -96,6 +96,7 @@ def judged(
         *folded(named, series, setting),
         *outliers_at_inputs(named, base, series, seed),
     ]
+    notes.extend(as_open(named, base))
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN

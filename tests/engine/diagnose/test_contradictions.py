@@ -10,7 +10,13 @@ import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search import contradictions, judgement
-from engine.diagnose.search.contradictions import already_there, folded, particle_word, undetermined
+from engine.diagnose.search.contradictions import (
+    already_there,
+    as_open,
+    folded,
+    particle_word,
+    undetermined,
+)
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.verdict import _look_alikes
@@ -68,6 +74,36 @@ def test_a_size_that_may_as_well_be_zero_is_no_finding(name, size, error, second
     texts = undetermined([found(name, size, error, second)], NO_TIES)
     assert bool(texts) is said
     assert all(name in text for text in texts)
+
+
+def beside(names, values, covariance):
+    """A fit of parameters of the drive, and of the size of a drag if it is among them, with this covariance."""
+    model = make_effect("drag:speed", Setting(DRIVE)).apply(DRIVE)
+    theta = model.theta(dict(zip(names, values, strict=True)))
+    return QuasiFit(model, theta, 0.0, names, np.linalg.inv(covariance), 1, True)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (
+            0.6,
+            0.6,
+            False,
+        ),  # half the damping and half the drag predict the same, as half of it did before
+        (0.6, 1e4, False),  # the same, the errors beyond any number
+        (0.1, 0.6, True),  # a damping that was known: the drag may take its place
+    ],
+)
+def test_a_size_as_open_as_a_parameter_was_before_is_not_undetermined(before, after, said):
+    noise = 1e-3 * np.eye(2)
+    base = beside(("damping", "load"), (1.0, 2.0), np.diag([before**2, 0.01]))
+    together = after**2 * np.ones((2, 2)) + noise
+    fit = beside(("damping", "drag_speed"), (1.0, 1.0), together)
+    effect = make_effect("drag:speed", Setting(DRIVE))
+    rounds = [SimpleNamespace(refits=(Refit(effect, fit, 40.0, 40.0),))]
+    assert bool(undetermined(rounds, base)) is said
+    assert ["damping" in text for text in as_open(rounds, base)] == [True] * (not said)
 
 
 @pytest.mark.slow

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.answer import _look_alikes
 from engine.diagnose.free_run.null import Alarm
-from engine.diagnose.free_run.search import Candidate, FreeRound, survivors
+from engine.diagnose.free_run.search import Candidate, FreeRound, _errors, survivors
 from engine.diagnose.free_run_fits.fitted import Pick, fit_runs, with_effects
 from engine.diagnose.free_run_fits.folds import folds_of, losses
 from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY
@@ -41,6 +42,38 @@ def test_an_effect_whose_size_may_as_well_be_zero_does_not_survive(fit):
     assert abs(beside.p[k]) < 2.0 * np.sqrt(beside.covariance[k, k])
     nothing = Candidate(beside, beside.effects, own - 3.0, 1e-6, 0.5)
     assert survivors(own, [nothing], setting) == ()
+
+
+@pytest.mark.long
+def test_a_size_in_a_unit_that_nothing_tells_survives(fit):
+    """With another gain of the sensor it is another number, and so is the gain of the input; neither is 0."""
+
+    def move(a, u, t, dt, theta):
+        return MODEL.dynamics(a, u, t, dt, theta[:-1])
+
+    def read(a, u, t, theta):
+        _, C, R = MODEL.measurement(a, u, t, theta)
+        return [theta.per * a[:, 0]], C, R  # C is zero
+
+    per = engine.Parameter("per", 1.0, "", (0.0, 100.0))
+    model = replace(
+        MODEL,
+        dynamics=move,
+        measurement=read,
+        parameters=(*MODEL.parameters, per),
+    )
+    theta = model.theta([*fit.theta, 1.0])
+    base = fit_runs(model, fit.records, theta, (*fit.free, "per"), fit.x1)
+    own = losses(base, folds_of(base.records))
+    setting = setting_for(model, fit.records[0], np.asarray(theta))
+    effect = make_effect("cubic:position->velocity", setting)
+    found = Candidate(with_effects(base, [Pick(effect, -4.0)]), (effect,), own - 3.0, 1e-6, 0.5)
+    assert {"per", "gain"} <= {
+        n for n, e in zip(base.free, _errors(base), strict=True) if np.isinf(e)
+    }
+    (only,) = survivors(own, [found], setting, before=base)
+    assert only[0].names == (effect.name,)
+    assert survivors(own, [found], setting, before=fit) == ()
 
 
 def test_a_dead_zone_that_the_record_does_not_leave_does_not_survive(fit):
