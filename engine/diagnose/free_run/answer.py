@@ -26,6 +26,7 @@ from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import first_state
 from engine.statespace.model import Array, MixedModel, Theta
+from engine.ties import TIED
 
 STARTS = 4  # random ones beside each that is known
 STARTED, SEARCHED = 0.25, 0.9  # of the search: its starts, and with them all rounds
@@ -236,23 +237,39 @@ def information(fit: Fitted, found: QuasiFit) -> Array:
     """Of all free parameters (n, n): of the shown ones from the free run, of the others from the likelihood.
 
     Errors of a free run are hardly ever white, so the inverse is that of a sandwich: scores summed over
-    blocks of rows.
+    blocks of rows. There is none along what parameters are tied in, be it with first states, which a sandwich
+    has no part in: it would know of each what is known of them together.
     """
     n, k = len(fit.free), fit.n_parameters
     out = np.zeros((n, n))
-    covariance = fit.covariance[:k, :k]
+    known = fit.problem.uncertainty(fit.e, fit.J)
+    covariance = known.covariance[:k, :k]
     shown = [fit.free.index(fit.model.parameter_names[i]) for i in fit.problem.active]
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     good = scale > 0.0
     at = np.array(shown, dtype=int)[good]
     correlations = covariance[np.ix_(good, good)] / np.outer(scale[good], scale[good])
-    inverse = np.linalg.pinv(correlations, rcond=1e-10, hermitian=True)
+    apart = _apart(known.directions[:k], np.linalg.norm(fit.J[:, :k], axis=0) * scale)[good]
+    within = np.linalg.pinv(apart.T @ correlations @ apart, rcond=1e-10, hermitian=True)
+    inverse = apart @ within @ apart.T
     out[np.ix_(at, at)] = inverse / np.outer(scale[good], scale[good])
     for i, name in enumerate(found.free):
         if name in fit.free and fit.free.index(name) not in shown:
             j = fit.free.index(name)
             out[j, j] = found.information[i, i]
     return out
+
+
+def _apart(directions: Array, scale: Array) -> Array:
+    """Combinations (k, j) of parameters that do not change along ``directions`` (k, m), orthonormal.
+
+    The directions are of parameters in units of their own, the combinations of these divided by ``scale`` (k,).
+    A direction among first states alone has next to no part in any.
+    """
+    moved, share, _ = np.linalg.svd(directions, full_matrices=False)
+    tied = moved[:, share > TIED] / np.where(scale > 0.0, scale, 1.0)[:, None]
+    span, size, _ = np.linalg.svd(tied / np.linalg.norm(tied, axis=0), full_matrices=True)
+    return np.asarray(span[:, len(size) :])
 
 
 def causes_of(found: FreeRunSearch) -> tuple[Cause, ...]:
