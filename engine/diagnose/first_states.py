@@ -19,7 +19,7 @@ from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_path
 from engine.statespace.first_state import moments_of_first
-from engine.statespace.model import Array, Gaussian, MixedModel
+from engine.statespace.model import Array, Gaussian, MixedModel, Theta
 
 UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
 
@@ -40,6 +40,17 @@ def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
     except (EngineError, np.linalg.LinAlgError):  # also where a reading can only be one value
         return False
     return bool(chi2_sf(square, count) > UNLIKELY)
+
+
+def begins_as_said(model: MixedModel, start: Theta, fitted: Theta, one: Series) -> bool:
+    """Whether a record begins where the ``fitted`` model says, or the model with its ``start`` values.
+
+    Where parameters say how far apart records begin, one record tells nothing of that: fitted to it alone, they
+    say that all begin where it does. Then what the model was given with speaks, with all else as fitted.
+    """
+    begun = model.record(start)
+    given = replace(model, initial=lambda _: model.initial(begun))
+    return any(begins_as_expected(says, np.asarray(fitted), one) for says in (model, given))
 
 
 def starts_there(fit: QuasiFit, one: Series) -> bool:

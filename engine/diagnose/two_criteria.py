@@ -17,7 +17,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.first_states import begins_as_expected
+from engine.diagnose.first_states import begins_as_said
 from engine.diagnose.free_run.oversampled import (
     DECIDES,
     error_of_steps,
@@ -122,7 +122,7 @@ def _with_these_steps(
     if fine.records.others:
         left = {TOO_LONG: len(fine.records.others)}
         if searched is train:
-            searched, left = _with_others(model, start, options.free, fine.records, kept)
+            searched, left = _with_others(model, theta, start, options.free, fine.records, kept)
             # what one short record says may lie far along a ridge that all of them close
             start = theta if searched.begins else start
             fine.records.check_enough(searched, left)
@@ -187,16 +187,21 @@ def _searched(
 
 
 def _with_others(
-    model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, records: Records, kept: Kept
+    model: MixedModel,
+    given: ThetaLike,
+    start: ThetaLike,
+    free: Sequence[str] | None,
+    records: Records,
+    kept: Kept,
 ) -> tuple[Series, dict[str, int]]:
-    """What the likelihood searches of all records, those that begin where a fit to the main one says.
+    """What the likelihood searches of all records; also how many are left out, by the reason.
 
-    Also how many are left out, by the reason.
+    They must begin where the model with its ``given`` values says, or fitted to the main one from ``start``.
     """
     own = kept.within("the longest record")
-    fit = own.fit(model, partial(fit_base, model, records.train, theta, free))
-    expected = partial(begins_as_expected, model, np.asarray(fit.theta))
-    return records.searched(expected, STRETCH)
+    fit = own.fit(model, partial(fit_base, model, records.train, start, free))
+    said = partial(begins_as_said, model, model.theta(given), fit.theta)
+    return records.searched(said, STRETCH)
 
 
 def _of_records(records: Records, taken: int, left: Mapping[str, int]) -> str:
