@@ -149,7 +149,13 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
         f"input {channel} that changes between its samples",
         f"{channel}_t -> {channel}_t + {name} ({channel}_(t+1) - {channel}_t) / 2",
         (
-            Parameter(name, 0.0, "1", (0.0, 2.0), "0: held, 1: linear between samples"),
+            Parameter(
+                name,
+                0.0,
+                "1",
+                (0.0, 2.0),
+                "0: held, 1: linear between samples, 2: that of the next row",
+            ),
             setting.time(f"{name}_step", setting.dt, SOME_TIME, "time between samples"),
             Parameter(f"{name}_first", first, setting.unit(channel), description="first input"),
         ),
@@ -158,7 +164,7 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
         look_alikes={"delay": "looks back, not ahead"},
         held=(f"{name}_step", f"{name}_first"),
         one_sided=True,
-        traits=Traits(says_hold="foh"),
+        traits=Traits(says_hold=("foh", "past")),
     )
 
 

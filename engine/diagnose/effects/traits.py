@@ -35,7 +35,7 @@ class Traits:
     ``unnamed``: it stands for whatever has no name. ``outliers``: judged by a filter that knows outliers.
     ``noise_level``: it changes the size of a channel's noise. ``plainness``: of effects that say the same,
     the one with the least is said. ``suits``: "rate" (friction), "position" (stiffness) or "store" (overflow:
-    neither of these), where the kind is natural. ``says_hold``: what a series would say instead, see
+    neither of these), where the kind is natural. ``says_hold``: what a series may say instead, see
     :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
     parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
     ``foreseen``: between which values its size is if it is the cause, where that is known before it is fitted.
@@ -54,7 +54,7 @@ class Traits:
     noise_level: bool = False
     plainness: int = ANY
     suits: str = ""
-    says_hold: str = ""
+    says_hold: tuple[str, ...] = ()
     contains: tuple[str, ...] = ()
     of_record: bool = False
     foreseen: tuple[float, float] | None = None
