@@ -88,7 +88,7 @@ class Diagnosis(Shown):
     notes : tuple of str
         Sentences on the data and on limits of the answer.
     seconds : dict
-        {part: processor time, s}.
+        {part: seconds that it took by the clock}; those of a kept part are of when it was made.
     series : Series
         The record that the likelihood searched, the held-out part included; of several the longest.
     records : int

@@ -116,3 +116,19 @@ def test_a_model_that_bends_only_with_its_input_is_not_linear():
 def test_all_of_a_record_is_asked(switched, linear):
     series = engine.Series(np.zeros(100), np.zeros(100), dt=0.5)
     assert (not why_not_linear(valve(switched), None, series)) is linear
+
+
+def test_a_step_in_which_an_unstable_plant_runs_away_excuses_nothing():
+    magnet = engine.continuous(  # what falls away within milliseconds: a step of 1 s is beyond numbers
+        name="magnet", nonlinear={"gap": "m", "current": "A"}, linear={"speed": "m/s"},
+        inputs={"voltage": "V"}, outputs={"y": "m"},
+        drift=lambda a, u, t, theta: (
+            [0.0, 4.0 * (u[0] - 11.0 * a[:, 1]), 9.81 - 9e-4 * (a[:, 1] / np.maximum(a[:, 0], 1e-3)) ** 2],
+            [[1.0], [0.0], [0.0]],
+        ),
+        diffusion=lambda a, u, t, theta: np.diag([0.0, 4e-4, 1.6e-5]),
+        measurement=lambda a, u, t, theta: ([a[:, 0]], [[0.0]], [[1e-8]]),
+        initial=lambda theta: (engine.Gaussian([0.013, 1.3], np.diag([2.5e-7, 2.5e-3])), [0.0], [[1e-4]]),
+        parameters=[],
+    )  # fmt: skip
+    assert "is not linear Gaussian" in why_not_linear(magnet)
