@@ -22,6 +22,8 @@ from engine.kernels.gaussian import (
     whiten,
 )
 
+FEW = 6  # states in z up to which a sum over all of them is quicker than one that leaves zeros out
+
 
 @njit(cache=True, error_model="numpy")
 def spread_of(na):
@@ -135,14 +137,18 @@ def transform_into(f, A, Q, z, V, offsets, mean, cov, cross, own):
                 continue  # common matrices: their share was added with weight 1 at s = 0
             if common:
                 weight = 1.0
-            if new_A:
+            if new_A and nz > FEW:
+                _product_into(A[own_A], V[k], AV)
+            elif new_A:
                 for i in range(n):
                     for c in range(nz):
                         v = 0.0
                         for d in range(nz):
                             v += A[own_A, i, d] * V[k, d, c]
                         AV[i, c] = v
-            if new_A or new_Q:
+            if (new_A or new_Q) and nz > FEW:
+                _and_back_into(AV, A[own_A], Q[own_Q], each)
+            elif new_A or new_Q:
                 for i in range(n):
                     for j in range(n):
                         v = Q[own_Q, i, j]
@@ -164,6 +170,38 @@ def transform_into(f, A, Q, z, V, offsets, mean, cov, cross, own):
                 slope = outer * (value[1 + 2 * i, r] - value[2 + 2 * i, r])
                 for c in range(nx):
                     cross[k, r, c] += slope * offsets[k, i, c]
+
+
+@njit(cache=True, error_model="numpy")
+def _product_into(A, V, AV):
+    """A V (n, nz), without the zeros of A: what remembers, as a dead time, hands most of its states on.
+
+    Terms are added in the order of a whole sum, so that it is the same number to the last bit.
+    """
+    n, nz = AV.shape
+    for i in range(n):
+        for c in range(nz):
+            AV[i, c] = 0.0
+        for d in range(nz):
+            share = A[i, d]
+            if share != 0.0:
+                for c in range(nz):
+                    AV[i, c] += share * V[d, c]
+
+
+@njit(cache=True, error_model="numpy")
+def _and_back_into(AV, A, Q, each):
+    """Q + A V A' (n, n), without the zeros of A."""
+    n, nz = AV.shape
+    for i in range(n):
+        for j in range(n):
+            each[i, j] = Q[i, j]
+    for j in range(n):
+        for c in range(nz):
+            share = A[j, c]
+            if share != 0.0:
+                for i in range(n):
+                    each[i, j] += AV[i, c] * share
 
 
 @njit(cache=True, error_model="numpy")
