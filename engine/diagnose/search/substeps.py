@@ -60,7 +60,7 @@ class Prepared:
 
     def with_shorter_steps(self, given: Records, k: int) -> Prepared:
         """The records ``given`` with ``k`` steps a sample, as what was found needs them."""
-        text = f"The model makes {k} steps a sample: with fewer, their error shows in what is found."
+        text = f"The model makes {k} steps a sample: with fewer, their error is in what is found."
         return replace(self, records=given.refined(k), k=k, notes=(text,), finer=k < MOST)
 
 

@@ -372,7 +372,7 @@ def test_steps_are_chosen_again_for_what_was_found():
     found = engine.diagnose(model, series, kept=kept, **options)
     k = found.substeps
     assert k > 1
-    assert f"{k} steps a sample: with fewer, their error shows in what is found" in " ".join(
+    assert f"{k} steps a sample: with fewer, their error is in what is found" in " ".join(
         found.notes
     )
     (cause,) = found.causes
