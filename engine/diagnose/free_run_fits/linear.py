@@ -162,8 +162,13 @@ class Linear:
 
 
 def _two_sizes(E: Array, G: Array, a: NDArray[np.intp], b: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Least squares of each series on its two columns; the second size is 0 where both are one."""
-    A, B = G[:, a], G[:, b]
+    """Least squares of each series on its two columns; the second size is 0 where both are one.
+
+    Columns of what runs away have products beyond what numbers hold: a power of two, which rounds nothing,
+    takes each near 1.
+    """
+    unit = np.ldexp(1.0, np.frexp(np.abs(G).max(axis=0, initial=0.0))[1])
+    A, B = G[:, a] / unit[a], G[:, b] / unit[b]
     aa, bb, ab = ((x * y).sum(axis=0) for x, y in ((A, A), (B, B), (A, B)))
     ae, be = (A * E).sum(axis=0), (B * E).sum(axis=0)
     determinant = aa * bb - ab * ab
@@ -171,7 +176,7 @@ def _two_sizes(E: Array, G: Array, a: NDArray[np.intp], b: NDArray[np.intp]) -> 
     with np.errstate(all="ignore"):
         first = np.where(two, (bb * ae - ab * be) / determinant, np.where(aa > 0.0, ae / aa, 0.0))
         second = np.where(two, (aa * be - ab * ae) / determinant, 0.0)
-    return first, second
+    return first / unit[a], second / unit[b]
 
 
 def scaled(J: Array) -> Array:
