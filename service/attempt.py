@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 import numpy as np
 from sqlalchemy.exc import SQLAlchemyError
 
-from engine.diagnose.search.checkpoint import ASKED
+from engine.diagnose.refits.checkpoint import ASKED
 from engine.errors import EngineError
 from engine.models.registry import register_files
 from engine.statespace.model import Array, Theta

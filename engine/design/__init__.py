@@ -27,7 +27,7 @@ from engine.design.sensors import Sensor
 from engine.design.weighing import LEVEL, Weighing
 from engine.diagnose.diagnosis import Diagnosis
 from engine.diagnose.records import LEAST
-from engine.diagnose.search.checkpoint import Parts
+from engine.diagnose.refits.checkpoint import Parts
 from engine.errors import OptionError, check_count
 from engine.randomness import check_seed
 from engine.statespace.model import MixedModel, ThetaLike

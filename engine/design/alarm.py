@@ -1,7 +1,7 @@
 """Whether a diagnosis will see something, from the statistic of its screen.
 
 The diagnosis calibrates p-values that are near its level by a few simulated records
-(:mod:`engine.diagnose.search.calibration`): their logarithms are divided by a boldness. It is above 1 on few
+(:mod:`engine.diagnose.refits.calibration`): their logarithms are divided by a boldness. It is above 1 on few
 readings (:mod:`engine.design.residuals`), and by its own scatter, because it is never let below 1.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.design.spectrum import records_of
+from engine.diagnose.refits.calibration import BOLDEST, CLEARLY, FEWEST, LEVEL, SERIES, boldness
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
-from engine.diagnose.search.calibration import BOLDEST, CLEARLY, FEWEST, LEVEL, SERIES, boldness
 from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 

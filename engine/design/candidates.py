@@ -15,8 +15,8 @@ from engine.design.bounds import finite, refused
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.search.likeness import rank
-from engine.diagnose.search.refits import further_parameters
+from engine.diagnose.refits.likeness import rank
+from engine.diagnose.refits.refit import further_parameters
 from engine.errors import OptionError
 from engine.statespace.model import Array, MixedModel, ThetaLike
 

@@ -1,7 +1,7 @@
 """Finished parts of a design, kept so that an interrupted one goes on with the same numbers.
 
 What takes the time are the inputs that are tried and the rivals that adapt to them. A resumed design draws the
-same inputs again and finds what they were worth; see :mod:`engine.diagnose.search.checkpoint`.
+same inputs again and finds what they were worth; see :mod:`engine.diagnose.refits.checkpoint`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from engine.design.candidates import Candidate, Question
 from engine.design.inputs import drawn_plan
 from engine.design.runs import simulated
 from engine.design.search import Task
-from engine.diagnose.search.checkpoint import NOTHING, Kept, Parts, of_the_same
+from engine.diagnose.refits.checkpoint import NOTHING, Kept, Parts, of_the_same
 
 LOOKED_AT = 50  # readings of a run by which a model is known again
 

@@ -21,9 +21,9 @@ from engine.design.noise import NoiseRoom, noise_room
 from engine.design.residuals import Residuals, Scores
 from engine.design.runs import Experiments, linearised
 from engine.design.spectrum import NUMBERS
-from engine.diagnose.search.calibration import SERIES
-from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
-from engine.diagnose.search.rounds import MARGIN
+from engine.diagnose.refits.calibration import SERIES
+from engine.diagnose.refits.likeness import NEEDED, SAME, TIE, contains
+from engine.diagnose.refits.rounds import MARGIN
 from engine.statespace.model import Array
 
 DRAWS = 1200  # of records

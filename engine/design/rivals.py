@@ -26,7 +26,7 @@ from engine.diagnose.diagnosis import Diagnosis
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import QuasiFit
 

@@ -19,7 +19,7 @@ from engine.design.candidates import Candidate
 from engine.design.criterion import adapted, linear_distances, precision
 from engine.design.inputs import FAMILIES, LEAK, Plan, drawn_plan, leakage, played
 from engine.design.runs import Experiments, Runs, linearised, simulated
-from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.errors import OptionError
 from engine.kernels.whitening import spread
 from engine.statespace.model import Array

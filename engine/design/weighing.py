@@ -17,7 +17,7 @@ from engine.design.runs import simulated
 from engine.design.search import Pair, Search, Task, Tried, search
 from engine.design.sensors import sensors
 from engine.diagnose.records import LEAST
-from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.errors import OptionError
 
 LEVEL = 0.95  # the probability of the right name that is wanted

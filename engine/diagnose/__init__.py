@@ -47,18 +47,18 @@ from engine.diagnose.free_run.second_opinion import overtaken
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.held_out import HeldOut, Judged
+from engine.diagnose.judging.findings import Cause, Detectable, LookAlike, Verdict
+from engine.diagnose.judging.judgement import has_tails
+from engine.diagnose.judging.unsearched import begins_unsearched
+from engine.diagnose.judging.verdict import at_most_in_words, detectable_of, named_by
 from engine.diagnose.over_horizon import OverHorizon, over_horizon
 from engine.diagnose.records import HELD_OUT, check_searched, records_of
-from engine.diagnose.search.bootstrap import STAGE, first_round_p
-from engine.diagnose.search.calibration import Question
-from engine.diagnose.search.checkpoint import Parts, kept_of
-from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
-from engine.diagnose.search.judgement import has_tails
-from engine.diagnose.search.own_steps import about_own_steps
+from engine.diagnose.refits.bootstrap import STAGE, first_round_p
+from engine.diagnose.refits.calibration import Question
+from engine.diagnose.refits.checkpoint import Parts, kept_of
 from engine.diagnose.search.pipeline import FIRST_FIT_SHARE, Callback, Clock, fit_base
-from engine.diagnose.search.substeps import is_enough, prepare
-from engine.diagnose.search.unsearched import begins_unsearched
-from engine.diagnose.search.verdict import at_most_in_words, detectable_of, named_by
+from engine.diagnose.steps.own_steps import about_own_steps
+from engine.diagnose.steps.substeps import is_enough, prepare
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both

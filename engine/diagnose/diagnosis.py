@@ -17,12 +17,12 @@ from engine.data.series import Series
 from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.judging.findings import Cause, Detectable, Verdict
+from engine.diagnose.judging.unsearched import Unsearched
 from engine.diagnose.over_horizon import OverHorizon
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.noise_parameters import noise_of
-from engine.diagnose.search.findings import Cause, Detectable, Verdict
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.unsearched import Unsearched
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit

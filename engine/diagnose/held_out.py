@@ -21,16 +21,16 @@ from engine.diagnose.free_run_fits.candidates import FAMILIES
 from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise, with_noise_of
+from engine.diagnose.judging.contradictions import particle_word
+from engine.diagnose.judging.findings import Cause, Verdict
+from engine.diagnose.judging.judgement import NAMES, has_tails
+from engine.diagnose.judging.verdict import named_by, names_of
 from engine.diagnose.records import Records
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round, settle
 from engine.diagnose.screening.screening import Progress
-from engine.diagnose.search.contradictions import particle_word
-from engine.diagnose.search.findings import Cause, Verdict
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.judgement import NAMES, has_tails
 from engine.diagnose.search.pipeline import Causes
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round, settle
-from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.words import number

@@ -28,12 +28,12 @@ from engine.diagnose.free_run.oversampled import (
 from engine.diagnose.free_run.second_opinion import SecondOpinion, second_opinion
 from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.judgement import ENOUGH, NAMES
 from engine.diagnose.records import TOO_LONG, Records, others_left
-from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.judgement import ENOUGH, NAMES
+from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
-from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
+from engine.diagnose.steps.substeps import Prepared, are_too_long, steps_for
 from engine.errors import EngineError
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated, moment

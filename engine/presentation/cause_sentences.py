@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from engine.data.series import Series
 from engine.diagnose.effects.colored import LATENT
-from engine.diagnose.search.findings import (
+from engine.diagnose.judging.findings import (
     AS_GOOD,
     AS_LIKELY,
     CONTRADICTED,

@@ -11,8 +11,8 @@ from engine.design.rivals import to_ask
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.gain.adoption import in_full, in_short
-from engine.diagnose.search.latent_force import UnnamedForce
-from engine.diagnose.search.refits import Refit
+from engine.diagnose.refits.latent_force import UnnamedForce
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.symptoms.curves import named, rounded
 from engine.estimation.quasi_ml import QuasiFit
 from engine.json_values import plain
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from engine.diagnose.free_run.second_opinion import SecondOpinion
     from engine.diagnose.gain.gain import Gain
     from engine.diagnose.over_horizon import OverHorizon
-    from engine.diagnose.search.rounds import Round
+    from engine.diagnose.refits.rounds import Round
 
 SCREENED_EFFECTS = 12  # screened effects of a round
 

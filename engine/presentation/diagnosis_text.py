@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.gain.adoption import NOT_MEASURED, in_full, in_short, ran_away
-from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
-from engine.diagnose.search.rounds import UNNAMED_MARGIN
+from engine.diagnose.refits.latent_force import UnnamedForce, unnamed_force
+from engine.diagnose.refits.rounds import UNNAMED_MARGIN
 from engine.errors import EngineError
 from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import (
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
     from engine.diagnose.free_run.second_opinion import SecondOpinion
     from engine.diagnose.gain.gain import Gain
-    from engine.diagnose.search.findings import Cause, Detectable, Verdict
+    from engine.diagnose.judging.findings import Cause, Detectable, Verdict
 
 WIDTH = 100
 NAMES = 36  # columns for the names of candidates

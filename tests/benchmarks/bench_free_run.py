@@ -29,7 +29,7 @@ import engine
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run_fits.candidates import candidates
 from engine.diagnose.free_run_fits.folds import folds_of, losses
-from engine.diagnose.search.substeps import choose
+from engine.diagnose.steps.substeps import choose
 from engine.simulation import problem, whole_record
 from engine.simulation.free_run import first_state
 from engine.simulation.problem import FreeRunProblem

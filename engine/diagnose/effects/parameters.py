@@ -13,6 +13,7 @@ from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.time import from_when, lasting, over_the_record, since
 from engine.diagnose.effects.traits import ANY, Course, Traits
+from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import product
 
@@ -146,10 +147,18 @@ def _each_slope(setting: Setting) -> Iterator[str]:
     """Each parameter but those of noise with each input, also with one that the model leaves out."""
     if not setting.model.nu:
         return
-    points, theta = setting.points(setting.model)
     for target in setting.model.parameter_names:
-        if any(moved_by(setting.model, theta, points, target)):
+        if _moves_means(setting, target):
             yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
+
+
+def _moves_means(setting: Setting, parameter: str) -> bool:
+    """Whether more than noise depends on a parameter; also where the model cannot be used beside its value."""
+    points, theta = setting.points(setting.model)
+    try:
+        return any(moved_by(setting.model, theta, points, parameter))
+    except (EngineError, np.linalg.LinAlgError):
+        return True
 
 
 KINDS: list[Kind] = [

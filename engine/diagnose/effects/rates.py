@@ -87,7 +87,10 @@ def feeding(
 
 
 def moved_by(model: MixedModel, theta: Array, points: Points, parameter: str) -> tuple[bool, bool]:
-    """Whether a parameter moves the means of the next states, and whether those of readings, at any point."""
+    """Whether a parameter moves the means of the next states, and whether those of readings, at any point.
+
+    Not of states that only scale noise. Raises EngineError where the model cannot be used beside theta.
+    """
     index = model.index(parameter)
     low, high = model.parameters[index].bounds
     other = np.array(theta, dtype=float)
@@ -95,9 +98,10 @@ def moved_by(model: MixedModel, theta: Array, points: Points, parameter: str) ->
     up, down = min(other[index] + away, high), max(other[index] - away, low)
     other[index] = up if up > other[index] else down
     states = readings = False
+    physical = ~np.isin([*model.nonlinear, *model.linear], model.scale_states)
     for k in range(len(points.t)):
         x, u, t = points.x[k][None], points.u[k], float(points.t[k])
-        one, another = (_next(model, at, points, k, x, u) for at in (theta, other))
+        one, another = (_next(model, at, points, k, x, u)[:, physical] for at in (theta, other))
         states |= not np.array_equal(one, another, equal_nan=True)
         one, another = (_read(model, at, x, u, t) for at in (theta, other))
         readings |= not np.array_equal(one, another, equal_nan=True)

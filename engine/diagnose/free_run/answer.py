@@ -18,9 +18,9 @@ from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.columns import CANNOT
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run_fits.folds import p_better
+from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY, SAME, Cause, LookAlike, Verdict
+from engine.diagnose.refits.amplitude import amplitude_of
 from engine.diagnose.screening.screening import Progress
-from engine.diagnose.search.amplitude import amplitude_of
-from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY, SAME, Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.fit import fit_simulation

@@ -15,7 +15,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run_fits.fitted import Fitted
-from engine.diagnose.search.substeps import MUCH, is_consistent, sampled
+from engine.diagnose.steps.substeps import MUCH, is_consistent, sampled
 from engine.diagnose.symptoms.runs import start_state
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
@@ -62,7 +62,7 @@ def thinned_by(few: Series, one: Series) -> int:
 def steps_are_too_long(fit: Fitted, whole: Series) -> bool:
     """Whether much of what the free run of a fit to a thinned ``whole`` gets wrong is its longer steps.
 
-    As :func:`engine.diagnose.search.substeps.are_too_long`.
+    As :func:`engine.diagnose.steps.substeps.are_too_long`.
     """
     few, x1 = fit.records[0], fit.x1[0]
     theta = np.asarray(fit.theta)

@@ -33,11 +33,11 @@ from engine.diagnose.free_run_fits.fitted import Fitted, Pick
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.judgement import NAMES
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screening import Progress
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.judgement import NAMES
 from engine.diagnose.search.pipeline import Causes
-from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Theta

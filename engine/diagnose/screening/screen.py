@@ -67,7 +67,7 @@ class Screen:
     """All scores, best first; ``p_value`` family-wise; ``likenesses`` (n, n) of every two effects.
 
     ``lowest`` (n,) are the draws' smallest p-values; ``simulated`` the number of series by
-    which p-values were calibrated, see :mod:`engine.diagnose.search.calibration`, 0 where they were not.
+    which p-values were calibrated, see :mod:`engine.diagnose.refits.calibration`, 0 where they were not.
     Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
     ``refits_floor`` is the least that ``p_value`` can be where simulated refits gave it, 0 where none did.
     """

@@ -1,1 +1,1 @@
-"""From an alarm to a name: refits, sets that cannot be told apart, the verdict."""
+"""From an alarm to a name: one effect after another, until nothing is seen."""

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.refits.found import Search, size_cost
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import FORESEEN, MARGIN, Round
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.found import Search, size_cost
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import FORESEEN, MARGIN, Round
 
 OTHERS = 3  # rivals that are tried as the first
 

@@ -9,7 +9,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
-from engine.diagnose.search.found import Search
+from engine.diagnose.refits.found import Search
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.words import moment, number

@@ -15,18 +15,18 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.judging.feedback import answering, of_own_row, told
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.judgement import ENOUGH, NAMES, has_tails, judged
+from engine.diagnose.judging.small_rest import first_alone
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
-from engine.diagnose.search.between_samples import read_otherwise, read_with
-from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.event_time import times_as_likely
-from engine.diagnose.search.feedback import answering, of_own_row, told
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.judgement import ENOUGH, NAMES, has_tails, judged
-from engine.diagnose.search.likeness import as_foreseen
 from engine.diagnose.search.search import LATER, search
-from engine.diagnose.search.small_rest import first_alone
-from engine.diagnose.search.step_error import steps_for_sizes
+from engine.diagnose.steps.between_samples import read_otherwise, read_with
+from engine.diagnose.steps.step_error import steps_for_sizes
 from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done

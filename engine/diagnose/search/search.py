@@ -24,6 +24,28 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run_fits.candidates import leading
+from engine.diagnose.refits.calibration import (
+    BOLDEST,
+    Question,
+    calibrated,
+    decides,
+    sequential_floor,
+    sequential_p,
+    silent,
+)
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.elsewhere import from_elsewhere
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.joint_refit import STAGE, look_back
+from engine.diagnose.refits.refit import Refit, cost, finished, with_tails
+from engine.diagnose.refits.refitting import (
+    FOLLOWED,
+    confirmed,
+    refit_best,
+    refit_swallowed,
+    swallowed_p,
+)
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.screening.tails import (
@@ -34,29 +56,7 @@ from engine.diagnose.screening.tails import (
     standardised_errors,
 )
 from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
-from engine.diagnose.search.calibration import (
-    BOLDEST,
-    Question,
-    calibrated,
-    decides,
-    sequential_floor,
-    sequential_p,
-    silent,
-)
-from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.elsewhere import from_elsewhere
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.joint_refit import STAGE, look_back
-from engine.diagnose.search.refits import Refit, cost, finished, with_tails
-from engine.diagnose.search.refitting import (
-    FOLLOWED,
-    confirmed,
-    refit_best,
-    refit_swallowed,
-    swallowed_p,
-)
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.step_error import by_shorter_steps, decided_by_steps, ranked_anew
+from engine.diagnose.steps.step_error import by_shorter_steps, decided_by_steps, ranked_anew
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.filters.sigma_point import moment_path

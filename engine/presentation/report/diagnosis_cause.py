@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from engine.diagnose.search.findings import LookAlike
+from engine.diagnose.judging.findings import LookAlike
 from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import UNTESTABLE, gained, standing, with_others
 from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace

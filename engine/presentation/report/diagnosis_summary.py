@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY, LESS_LIKELY, SAME
+from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY, LESS_LIKELY, SAME
 from engine.presentation.cause_sentences import looked_for, not_told_apart
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (

@@ -13,9 +13,9 @@ from engine.design.noise import NoiseRoom, noise_room
 from engine.design.residuals import Residuals
 from engine.design.runs import Experiments, linearised
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.refits.calibration import SERIES
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.screening.screening import screen_effects
-from engine.diagnose.search.calibration import SERIES
 from engine.distributions import chi2_sf
 from engine.estimation.quasi_ml import quasi_ml
 from engine.simulation.simulate import simulate

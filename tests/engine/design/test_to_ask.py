@@ -15,7 +15,7 @@ from engine.diagnose import extend
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import search_free_runs
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import quasi_ml
 

@@ -10,9 +10,9 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import extend, make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.refits.amplitude import amplitude_of
+from engine.diagnose.refits.refit import refit
 from engine.diagnose.screening.screen import Score
-from engine.diagnose.search.amplitude import amplitude_of
-from engine.diagnose.search.refits import refit
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.presentation.cause_sentences import headline
 from service.diagnoses import in_a_line

@@ -8,8 +8,8 @@ import numpy as np
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.search.at_inputs import outliers_at_inputs
-from engine.diagnose.search.rounds import Round
+from engine.diagnose.judging.at_inputs import outliers_at_inputs
+from engine.diagnose.refits.rounds import Round
 from engine.distributions import binomial_sf
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import oven

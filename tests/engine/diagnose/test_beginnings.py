@@ -9,9 +9,9 @@ import pytest
 
 import engine
 from engine.data.series import Series
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import ANEW, TWICE, _by_rounds
 from tests.engine.diagnose.test_held import kettle
 
@@ -44,7 +44,7 @@ def beside(rival):
 @pytest.fixture(autouse=True)
 def no_costs(monkeypatch):
     """But those of sizes, for a series of twenty readings: 3."""
-    monkeypatch.setattr(import_module("engine.diagnose.search.found"), "cost", lambda *_: 0.0)
+    monkeypatch.setattr(import_module("engine.diagnose.refits.found"), "cost", lambda *_: 0.0)
 
 
 SERIES = Of(n_measured=np.exp(3.0))

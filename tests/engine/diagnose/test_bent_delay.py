@@ -6,8 +6,8 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.refits.refit import refit
 from engine.diagnose.screening.screening import screen_effects
-from engine.diagnose.search.refits import refit
 from engine.estimation.quasi_ml import quasi_ml
 
 LATE = 4  # samples

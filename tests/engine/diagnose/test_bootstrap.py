@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.search.bootstrap import bootstrap_p
-from engine.diagnose.search.calibration import Question
+from engine.diagnose.refits.bootstrap import bootstrap_p
+from engine.diagnose.refits.calibration import Question
 from engine.diagnose.search.search import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden

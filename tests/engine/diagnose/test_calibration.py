@@ -9,10 +9,8 @@ from scipy.stats import chi2
 
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.screening.score_columns import Column, Projection
-from engine.diagnose.screening.screen import make_test, screen
-from engine.diagnose.search import calibration, search
-from engine.diagnose.search.calibration import (
+from engine.diagnose.refits import calibration
+from engine.diagnose.refits.calibration import (
     BOLDEST,
     OTHERS,
     Question,
@@ -21,8 +19,11 @@ from engine.diagnose.search.calibration import (
     decides,
     sequential_p,
 )
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.refitting import REFITTED, swallowed_p
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitting import REFITTED, swallowed_p
+from engine.diagnose.screening.score_columns import Column, Projection
+from engine.diagnose.screening.screen import make_test, screen
+from engine.diagnose.search import search
 from tests.engine.hidden_effects import DRIVE
 
 ALPHA = 0.05

@@ -15,12 +15,12 @@ from engine.diagnose.effects.free_function import free_function
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
+from engine.diagnose.judging.verdict import set_of
+from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.rounds import MARGIN
 from engine.diagnose.screening.score_columns import static_column
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.refits import refit
-from engine.diagnose.search.rounds import MARGIN
-from engine.diagnose.search.verdict import set_of
 from engine.diagnose.symptoms.runs import noise_free
 from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.filters.sigma_point import moment_filter, moment_path

@@ -11,7 +11,7 @@ from engine.data import nile
 from engine.data.series import Series
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.search import checkpoint as keeping
+from engine.diagnose.refits import checkpoint as keeping
 from engine.diagnose.search import pipeline
 from engine.errors import OptionError
 from engine.presentation.report import report_html

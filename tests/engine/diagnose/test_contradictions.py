@@ -9,17 +9,17 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.search import contradictions, judgement
-from engine.diagnose.search.contradictions import (
+from engine.diagnose.judging import contradictions, judgement
+from engine.diagnose.judging.contradictions import (
     already_there,
     as_open,
     folded,
     particle_word,
     undetermined,
 )
+from engine.diagnose.judging.verdict import _look_alikes
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.verdict import _look_alikes
 from engine.estimation.quasi_ml import QuasiFit
 from tests.engine.hidden_effects import DRIVE, hidden
 

@@ -6,8 +6,8 @@ import pytest
 import engine
 from engine.diagnose import Verdict, diagnose, hide, make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.search import dependent_rows
-from engine.diagnose.search.refits import with_tails
+from engine.diagnose.judging import dependent_rows
+from engine.diagnose.refits.refit import with_tails
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import quasi_ml
 

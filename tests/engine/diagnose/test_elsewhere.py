@@ -8,11 +8,11 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import all_effects, make_effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.judging.verdict import detectable_of
+from engine.diagnose.refits import refitting
+from engine.diagnose.refits.elsewhere import REFITS, _asked, bent
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screen import Score, Screen
-from engine.diagnose.search import refitting
-from engine.diagnose.search.elsewhere import REFITS, _asked, bent
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.verdict import detectable_of
 from tests.engine.hidden_effects import DRIVE, hidden
 from tests.engine.plain_models import absorption
 

@@ -6,7 +6,7 @@ import pytest
 import engine
 from engine.diagnose import all_effects, diagnose, extend
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.search.substeps import choose
+from engine.diagnose.steps.substeps import choose
 
 
 @pytest.mark.long

@@ -14,10 +14,10 @@ from engine.diagnose.gain.adoption import Decision, falls_short, nothing_better
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.gain.simulation_gain import OutputGain
 from engine.diagnose.held_out import HeldOut
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.records import Records
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.rounds import Round
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.rounds import Round
 from tests.engine.hidden_effects import DRIVE
 
 LOSS = Gain(

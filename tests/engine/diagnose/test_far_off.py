@@ -10,8 +10,8 @@ import engine
 from engine.diagnose import make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.refits.refitting import REFITS, _with_ties, _worth_refitting
 from engine.diagnose.screening.screening import screen_effects
-from engine.diagnose.search.refitting import REFITS, _with_ties, _worth_refitting
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, DT
 from tests.engine.plain_models import heated

@@ -7,9 +7,9 @@ from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.refits import refit as module
+from engine.diagnose.refits.refit import cost, refit
 from engine.diagnose.screening.screen import Score
-from engine.diagnose.search import refits as module
-from engine.diagnose.search.refits import cost, refit
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import Units, mixer, referred
 

@@ -10,8 +10,8 @@ import engine
 from engine.data.series import Series
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.gain.adoption import NOT_MEASURED
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.records import Records, records_of
-from engine.diagnose.search.findings import Verdict
 from engine.errors import OptionError
 from engine.models.local_level import MODEL as LEVEL
 from service.diagnoses import in_a_line

@@ -11,11 +11,11 @@ from engine.diagnose import Verdict
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect, add_to_state
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.judging import lack_of_fit as lack_of_fit_module
+from engine.diagnose.judging.lack_of_fit import LEVEL, lack_of_fit
+from engine.diagnose.refits.calibration import drawn_from, several_drawn
 from engine.diagnose.screening.noise_parameters import apart, noise_only
 from engine.diagnose.screening.score_columns import parameter_columns
-from engine.diagnose.search import lack_of_fit as lack_of_fit_module
-from engine.diagnose.search.calibration import drawn_from, several_drawn
-from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_path
 from engine.simulation.simulate import simulate

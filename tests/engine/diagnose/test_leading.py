@@ -5,12 +5,12 @@ import importlib
 import numpy as np
 import pytest
 
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.search.pipeline import find_causes
 from tests.engine.diagnose import clipped
 
 search = importlib.import_module("engine.diagnose.search.search")
-refitting = importlib.import_module("engine.diagnose.search.refitting")
+refitting = importlib.import_module("engine.diagnose.refits.refitting")
 
 
 @pytest.mark.slow

@@ -8,10 +8,10 @@ import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.search import likeness, refitting
-from engine.diagnose.search import refits as refits_of
-from engine.diagnose.search.likeness import NEEDED, TIE, distinct
-from engine.diagnose.search.rounds import settle
+from engine.diagnose.refits import likeness, refitting
+from engine.diagnose.refits import refit as refits_of
+from engine.diagnose.refits.likeness import NEEDED, TIE, distinct
+from engine.diagnose.refits.rounds import settle
 from tests.engine.hidden_effects import DRIVE
 
 

@@ -9,10 +9,10 @@ import pytest
 
 import engine
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.search import joint_refit
-from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.judging.verdict import cause_of
+from engine.diagnose.refits import joint_refit
+from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.verdict import cause_of
 
 KINDS = ("cubic", "drag", "force", "bias")
 

@@ -7,11 +7,11 @@ import pytest
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.gain.narrowing import narrowed
-from engine.diagnose.search.findings import AS_LIKELY, CONTRADICTED
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import MARGIN, Round
-from engine.diagnose.search.verdict import _look_alikes
+from engine.diagnose.judging.findings import AS_LIKELY, CONTRADICTED
+from engine.diagnose.judging.verdict import _look_alikes
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import MARGIN, Round
 from tests.engine.hidden_effects import DRIVE
 
 SCORES = {"drift:reading": 12.0, "force:speed": 10.5, "drag:speed": 9.0, "cubic:speed": 3.0}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from engine.diagnose.free_run.second_opinion import SecondOpinion, overtaken
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.over_horizon import Candidate, OverHorizon
-from engine.diagnose.search.findings import Verdict
 
 
 @pytest.mark.parametrize(

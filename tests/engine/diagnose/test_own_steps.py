@@ -5,7 +5,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.search.own_steps import about_own_steps
+from engine.diagnose.steps.own_steps import about_own_steps
 from engine.estimation.quasi_ml import quasi_ml
 
 DT, K, LAG = 0.15, 900.0, 0.25

@@ -10,12 +10,12 @@ from engine.diagnose import LEAST_ALPHA, diagnose
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.null import SERIES, Alarm
 from engine.diagnose.free_run.second_opinion import SETTLED, _noise_explains, _too_far
+from engine.diagnose.judging.findings import Cause
+from engine.diagnose.judging.lack_of_fit import LackOfFit
+from engine.diagnose.refits import bootstrap, calibration
+from engine.diagnose.refits.bootstrap import bootstrap_p
+from engine.diagnose.refits.calibration import sequential_floor, sequential_p
 from engine.diagnose.screening.screening import screen_effects
-from engine.diagnose.search import bootstrap, calibration
-from engine.diagnose.search.bootstrap import bootstrap_p
-from engine.diagnose.search.calibration import sequential_floor, sequential_p
-from engine.diagnose.search.findings import Cause
-from engine.diagnose.search.lack_of_fit import LackOfFit
 from engine.diagnose.search.search import FIRST, LATER
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import quasi_ml

@@ -9,7 +9,7 @@ import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.records import Records
-from engine.diagnose.search.substeps import prepare, undeclared
+from engine.diagnose.steps.substeps import prepare, undeclared
 
 T, DT, FINE = 400, 0.2, 20
 

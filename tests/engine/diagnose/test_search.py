@@ -10,11 +10,11 @@ import engine
 from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.refits.refit import Refit, cost, refit
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import Score, make_test, screen
 from engine.diagnose.search.pipeline import Clock, find_causes
-from engine.diagnose.search.refits import Refit, cost, refit
-from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import confirmed
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, DT, hidden

@@ -11,9 +11,9 @@ from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain, measure_gain_interleaved
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.records import ELSEWHERE, OTHER_STEPS, TOO_LONG, others_left
-from engine.diagnose.search.calibration import drawn_from
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.refits.calibration import drawn_from
 from engine.errors import SeriesError
 from engine.estimation.quasi_ml import quasi_ml
 from engine.presentation.diagnosis_document import as_dict

@@ -10,14 +10,14 @@ import pytest
 import engine
 from engine.diagnose import extend, make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.search import small_rest
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.found import Search
+from engine.diagnose.judging import small_rest
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.small_rest import first_alone
+from engine.diagnose.judging.verdict import doubts, patchwork, verdict_of
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.small_rest import first_alone
-from engine.diagnose.search.verdict import doubts, patchwork, verdict_of
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.diagnose.test_friction import DT, body, by_hand, measured
 

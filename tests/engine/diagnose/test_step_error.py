@@ -15,12 +15,12 @@ from engine.diagnose import Effect, diagnose, extend, register_effect
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import Split, on_base, pushed
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.search import step_error
-from engine.diagnose.search.checkpoint import NOTHING
+from engine.diagnose.refits.checkpoint import NOTHING
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.step_error import steps_for_sizes
-from engine.diagnose.search.substeps import are_too_long, can_be_finer
+from engine.diagnose.steps import step_error
+from engine.diagnose.steps.step_error import steps_for_sizes
+from engine.diagnose.steps.substeps import are_too_long, can_be_finer
 from engine.estimation.quasi_ml import quasi_ml
 from engine.statespace.promotion import promote
 from tests.engine.other_units import Units

@@ -12,8 +12,8 @@ from engine.diagnose.effects.rates import guessed_points
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
-from engine.diagnose.search import substeps
-from engine.diagnose.search.substeps import (
+from engine.diagnose.steps import substeps
+from engine.diagnose.steps.substeps import (
     are_too_long,
     is_consistent,
     is_enough,

@@ -8,8 +8,8 @@ from engine.diagnose import Course, Effect, Traits, diagnose, effect_kinds, regi
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import add_to_state
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.refits.refitting import refit_swallowed
 from engine.diagnose.screening.screening import screen_effects
-from engine.diagnose.search.refitting import refit_swallowed
 from engine.estimation.quasi_ml import quasi_ml
 from engine.statespace.model import Parameter
 from tests.engine.hidden_effects import DRIVE, DT, T, hidden, levels
@@ -148,7 +148,7 @@ def test_a_plainer_effect_of_ones_own_stands_for_the_same_thing(make_dam, monkey
     from types import SimpleNamespace
 
     from engine.diagnose.effects.setting import Setting
-    from engine.diagnose.search import likeness
+    from engine.diagnose.refits import likeness
 
     monkeypatch.setattr(likeness, "held_out_terms", lambda fit, series: np.ones(4))
     setting = Setting(DRIVE)

@@ -8,10 +8,10 @@ import pytest
 import engine
 from engine.diagnose import make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.search import joint_refit
+from engine.diagnose.judging.verdict import cause_of, named_by, set_of
+from engine.diagnose.refits import joint_refit
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.verdict import cause_of, named_by, set_of
 from tests.engine.hidden_effects import DRIVE, levels
 
 T = 500

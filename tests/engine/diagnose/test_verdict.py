@@ -8,17 +8,17 @@ from scipy.stats import norm
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.screening.screen import Score
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.verdict import (
+from engine.diagnose.judging.verdict import (
     at_most_in_words,
     detectable_of,
     doubts,
     patchwork,
     verdict_of,
 )
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round
+from engine.diagnose.screening.screen import Score
 from tests.engine.hidden_effects import DRIVE
 
 DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"

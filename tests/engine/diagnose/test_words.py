@@ -18,9 +18,9 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
-from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, SAME
-from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
-from engine.diagnose.search.refits import Refit
+from engine.diagnose.judging.findings import AS_LIKELY, LESS_LIKELY, SAME
+from engine.diagnose.refits.latent_force import UnnamedForce, unnamed_force
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.symptoms.residuals import autocorrelation
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.linear_2 import MODEL as LINEAR
@@ -199,7 +199,7 @@ def test_a_force_that_rounding_errors_made_is_none(forced, monkeypatch):
         means[:, -1] = 1.58e15
         return means, np.broadcast_to(np.eye(3), (len(series), 3, 3))
 
-    monkeypatch.setattr(import_module("engine.diagnose.search.latent_force"), "smoothed", lost)
+    monkeypatch.setattr(import_module("engine.diagnose.refits.latent_force"), "smoothed", lost)
     assert unnamed_force(refit, series) is None
 
 

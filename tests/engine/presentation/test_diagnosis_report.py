@@ -24,10 +24,10 @@ from engine.diagnose.gain.gain import (
     measure_gain_interleaved,
 )
 from engine.diagnose.gain.simulation_gain import OutputGain, bootstrap_means, noise_level
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import UNNAMED_MARGIN, Round
-from engine.diagnose.search.verdict import set_of
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.verdict import set_of
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import UNNAMED_MARGIN, Round
 from engine.diagnose.symptoms.runs import start_state
 from engine.estimation.quasi_ml import quasi_ml
 from engine.json_values import plain

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import engine
 from engine import Gaussian, ModelError, Parameter, Series
 from engine.diagnose.records import Records
-from engine.diagnose.search.substeps import prepare
+from engine.diagnose.steps.substeps import prepare
 
 W2, DAMPING = 40.0, 0.2
 PARAMETERS = (Parameter("w2", W2, "1/s^2", (1.0, 1e3), "gravity over length"),)

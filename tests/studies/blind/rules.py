@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.diagnose.effects.colored import LATENT
-from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN
-from engine.diagnose.search.verdict import LEFT
+from engine.diagnose.judging.verdict import LEFT
+from engine.diagnose.refits.rounds import MARGIN, UNNAMED_MARGIN
 from tests.studies.blind import figures as f
 from tests.studies.report import markdown
 from tests.studies.study import Row

@@ -14,13 +14,13 @@ import numpy as np
 
 from engine.data.joined import joined
 from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.judging.verdict import set_of
+from engine.diagnose.refits.bootstrap import bootstrap_p
+from engine.diagnose.refits.calibration import Question
+from engine.diagnose.refits.refit import Refit, held_out_terms, refit
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.screen import Score
-from engine.diagnose.search.bootstrap import bootstrap_p
-from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.pipeline import Causes, find_causes
-from engine.diagnose.search.refits import Refit, held_out_terms, refit
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.verdict import set_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from tests.studies.blind.bases import BASES

@@ -16,8 +16,8 @@ from engine.design.runs import linearised
 from engine.design.search import Tried, violations
 from engine.design.weighing import Weighing
 from engine.diagnose import diagnose
+from engine.diagnose.judging.verdict import set_of
 from engine.diagnose.search.pipeline import find_causes
-from engine.diagnose.search.verdict import set_of
 from engine.errors import EngineError
 from engine.simulation.simulate import simulate
 from tests.studies.design.cases import (

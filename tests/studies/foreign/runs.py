@@ -17,8 +17,8 @@ from engine.data.series import Series
 from engine.diagnose import Diagnosis, diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.judging.verdict import set_of
 from engine.diagnose.search.pipeline import Causes
-from engine.diagnose.search.verdict import set_of
 from tests.studies.blind.hidden import Hidden
 from tests.studies.blind.runs import oracle
 from tests.studies.foreign.cells import Cell, clean, inside, unlisted

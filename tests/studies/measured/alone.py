@@ -16,9 +16,9 @@ from engine.diagnose.free_run.second_opinion import SETTLED
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.columns import CANNOT
 from engine.diagnose.gain.gain import measure_gain_interleaved
+from engine.diagnose.judging.findings import Cause, Verdict
+from engine.diagnose.judging.verdict import named_by
 from engine.diagnose.records import records_of
-from engine.diagnose.search.findings import Cause, Verdict
-from engine.diagnose.search.verdict import named_by
 from engine.estimation.quasi_ml import QuasiFit
 from tests.studies.measured.errors import Runs, all_errors, on_blocks, runs_of
 from tests.studies.measured.records import Data

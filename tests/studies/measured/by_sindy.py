@@ -22,7 +22,7 @@ from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.windows import rows_searched, telling
 from engine.diagnose.records import records_of
 from engine.diagnose.search.pipeline import fit_base
-from engine.diagnose.search.substeps import prepare
+from engine.diagnose.steps.substeps import prepare
 from engine.errors import EngineError, ModelError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.kalman import kalman_smoother

@@ -14,7 +14,7 @@ from engine.diagnose.free_run.answer import best_runs, search_free_runs, setting
 from engine.diagnose.free_run.missing_function import missing_function
 from engine.diagnose.free_run.search import GAINED
 from engine.diagnose.free_run_fits.folds import folds_of, losses
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.local_level import MODEL as LEVEL
 from tests.engine.clear_step import clear_flows

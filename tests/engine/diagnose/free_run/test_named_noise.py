@@ -11,7 +11,7 @@ import pytest
 import engine
 from engine.diagnose.free_run import second_opinion
 from engine.diagnose.free_run.null import Alarm
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 
 
 def discharge():

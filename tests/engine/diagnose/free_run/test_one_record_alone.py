@@ -13,7 +13,7 @@ from engine.diagnose.free_run.answer import FreeRunSearch, only_one
 from engine.diagnose.free_run.second_opinion import _of_one_record
 from engine.diagnose.free_run_fits.candidates import fit_of
 from engine.diagnose.free_run_fits.fitted import fit_runs
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 
 VALUES = {"tau": 25.0, "k": 0.06, "q": 1e-3, "r": 0.04}

@@ -10,8 +10,8 @@ import engine
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import search_free_runs
 from engine.diagnose.free_run.second_opinion import second_opinion
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.found import Search
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.refits.found import Search
 from engine.diagnose.search.pipeline import Causes
 from engine.estimation.quasi_ml import quasi_ml
 

@@ -17,7 +17,7 @@ from engine.diagnose.free_run.second_opinion import (
     second_opinion,
 )
 from engine.diagnose.gain.adoption import Decision
-from engine.diagnose.search.findings import Verdict
+from engine.diagnose.judging.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 
 OSCILLATOR = engine.get_model("oscillator")

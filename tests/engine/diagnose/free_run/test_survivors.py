@@ -13,7 +13,7 @@ from engine.diagnose.free_run.null import Alarm
 from engine.diagnose.free_run.search import Candidate, FreeRound, _errors, survivors
 from engine.diagnose.free_run_fits.fitted import Pick, fit_runs, with_effects
 from engine.diagnose.free_run_fits.folds import folds_of, losses
-from engine.diagnose.search.findings import AS_GOOD, AS_LIKELY
+from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY
 from engine.presentation.cause_sentences import standing
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 

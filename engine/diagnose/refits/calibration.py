@@ -32,10 +32,10 @@ import numpy as np
 from engine.data.joined import apart
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.refitting import refit_swallowed, swallowed_p
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress, screen_effects
-from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.refitting import refit_swallowed, swallowed_p
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.simulate import copies

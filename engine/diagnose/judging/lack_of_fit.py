@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
+from engine.diagnose.refits.calibration import several_drawn
 from engine.diagnose.screening.noise_parameters import apart, noise_of
 from engine.diagnose.screening.score_columns import (
     Column,
@@ -35,7 +36,6 @@ from engine.diagnose.screening.score_columns import (
     parameter_columns,
     static_column,
 )
-from engine.diagnose.search.calibration import several_drawn
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit

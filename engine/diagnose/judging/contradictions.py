@@ -9,9 +9,9 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.score_columns import UNTESTABLE
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.rbpf import rbpf
 from engine.statespace.model import Array, MixedModel, ThetaLike

@@ -8,18 +8,18 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.judging.at_inputs import outliers_at_inputs
+from engine.diagnose.judging.contradictions import already_there, as_open, folded, undetermined
+from engine.diagnose.judging.dependent_rows import dependent_rows
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.lack_of_fit import LEVEL, LackOfFit, lack_of_fit
+from engine.diagnose.judging.small_rest import is_small
+from engine.diagnose.judging.verdict import doubts, verdict_of
+from engine.diagnose.refits.checkpoint import Kept
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.rounds import settle
 from engine.diagnose.screening.tails import OUTLYING
-from engine.diagnose.search.at_inputs import outliers_at_inputs
-from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.contradictions import already_there, as_open, folded, undetermined
-from engine.diagnose.search.dependent_rows import dependent_rows
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.lack_of_fit import LEVEL, LackOfFit, lack_of_fit
-from engine.diagnose.search.rounds import settle
-from engine.diagnose.search.small_rest import is_small
-from engine.diagnose.search.step_error import decides
-from engine.diagnose.search.verdict import doubts, verdict_of
+from engine.diagnose.steps.step_error import decides
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, whitening
 from engine.filters.sigma_point import moment_path

@@ -16,10 +16,10 @@ from itertools import takewhile
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.likeness import as_foreseen
-from engine.diagnose.search.refits import Refit, finished
-from engine.diagnose.search.rounds import FORESEEN, Round
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.likeness import as_foreseen
+from engine.diagnose.refits.refit import Refit, finished
+from engine.diagnose.refits.rounds import FORESEEN, Round
 from engine.diagnose.symptoms.runs import noise_free, start_state
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml

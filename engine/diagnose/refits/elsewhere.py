@@ -18,9 +18,9 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.refits.checkpoint import Kept
+from engine.diagnose.refits.refit import Refit, cost, refit
 from engine.diagnose.screening.screen import Score, Screen
-from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.refits import Refit, cost, refit
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods
 from engine.statespace.model import Theta

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.refits.likeness import as_foreseen, distinct, rank
+from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.likeness import as_foreseen, distinct, rank
-from engine.diagnose.search.refits import Refit
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
 UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible

@@ -16,8 +16,8 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.records import Records
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.substeps import prepare
+from engine.diagnose.refits.found import Search
+from engine.diagnose.steps.substeps import prepare
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 

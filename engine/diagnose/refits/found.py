@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.search.refits import Refit, cost
-from engine.diagnose.search.rounds import MARGIN, Round
+from engine.diagnose.refits.refit import Refit, cost
+from engine.diagnose.refits.rounds import MARGIN, Round
 from engine.estimation.quasi_ml import QuasiFit
 
 

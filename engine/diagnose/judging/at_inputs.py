@@ -13,13 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.tails import (
     OUTLYING,
     first_of_each,
     pit_of,
     standardised_errors,
 )
-from engine.diagnose.search.rounds import Round
 from engine.distributions import binomial_sf
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_path

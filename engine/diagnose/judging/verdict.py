@@ -7,10 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.diagnose.screening.score_columns import UNTESTABLE
-from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.amplitude import amplitude_of
-from engine.diagnose.search.findings import (
+from engine.diagnose.judging.findings import (
     AS_LIKELY,
     CONTRADICTED,
     LESS_LIKELY,
@@ -21,10 +18,13 @@ from engine.diagnose.search.findings import (
     LookAlike,
     Verdict,
 )
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.likeness import as_foreseen, merely_wider
-from engine.diagnose.search.refits import Refit, further_parameters
-from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
+from engine.diagnose.refits.amplitude import amplitude_of
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.likeness import as_foreseen, merely_wider
+from engine.diagnose.refits.refit import Refit, further_parameters
+from engine.diagnose.refits.rounds import MARGIN, UNNAMED_MARGIN, Round
+from engine.diagnose.screening.score_columns import UNTESTABLE
+from engine.diagnose.screening.screen import Screen
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
 from engine.words import enumerated, number, probability, with_unit

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from engine.data.series import Series
-from engine.diagnose.search.calibration import drawn_from
+from engine.diagnose.refits.calibration import drawn_from
 from engine.diagnose.symptoms.residuals import whiteness
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit

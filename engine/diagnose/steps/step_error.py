@@ -18,10 +18,10 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import extend, make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import MARGIN, Round, settle
-from engine.diagnose.search.substeps import can_be_finer, have_finer
+from engine.diagnose.refits.checkpoint import Kept
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import MARGIN, Round, settle
+from engine.diagnose.steps.substeps import can_be_finer, have_finer
 from engine.errors import EngineError
 from engine.estimation.long_steps import apart as predictions_apart
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml

@@ -12,11 +12,11 @@ from functools import partial
 
 import numpy as np
 
+from engine.diagnose.refits.calibration import Question, screen_of_simulated, silent
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.found import Search
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress
-from engine.diagnose.search.calibration import Question, screen_of_simulated, silent
-from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.found import Search
 
 STAGE = "bootstrap"
 
@@ -43,7 +43,7 @@ def bootstrap_p(
 
     ``screen`` is what :func:`engine.diagnose.screening.screening.screen_effects` found for the ``question``;
     the same effects are asked of every simulated series.
-    With ``swallowed`` the screen includes :func:`engine.diagnose.search.refitting.refit_swallowed`, which
+    With ``swallowed`` the screen includes :func:`engine.diagnose.refits.refitting.refit_swallowed`, which
     is then repeated too. Each series has the inputs, times and missing values of the data. Runs that are
     lost (no simulation or no filter) are left out; p = (1 + as extreme) / (1 + runs not lost).
     """

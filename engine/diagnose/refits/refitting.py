@@ -14,13 +14,10 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
-from engine.diagnose.screening.screen import Score, Screen
-from engine.diagnose.screening.screening import TAILS_ALARM, Progress
-from engine.diagnose.screening.tails import tails_left
-from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.echoes import without_echoes
-from engine.diagnose.search.elsewhere import bent
-from engine.diagnose.search.refits import (
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.echoes import without_echoes
+from engine.diagnose.refits.elsewhere import bent
+from engine.diagnose.refits.refit import (
     Refit,
     Way,
     cost,
@@ -29,7 +26,10 @@ from engine.diagnose.search.refits import (
     taken_up,
     way_of,
 )
-from engine.diagnose.search.rounds import Round, settle
+from engine.diagnose.refits.rounds import Round, settle
+from engine.diagnose.screening.screen import Score, Screen
+from engine.diagnose.screening.screening import TAILS_ALARM, Progress
+from engine.diagnose.screening.tails import tails_left
 from engine.distributions import chi2_isf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml

@@ -18,11 +18,11 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.refits.checkpoint import NOTHING, Kept
+from engine.diagnose.refits.refit import TOLERANCE, Refit, cost, free_parameters
+from engine.diagnose.refits.rounds import FORESEEN, Round, settle
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress
-from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
-from engine.diagnose.search.rounds import FORESEEN, Round, settle
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
 from engine.statespace.model import Array, MixedModel

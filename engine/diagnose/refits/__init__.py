@@ -1,0 +1,1 @@
+"""Effects estimated together with the model: one after another, compared, ranked, calibrated, kept."""

@@ -1,0 +1,1 @@
+"""How long a model's steps may be, and what they get wrong."""
