@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from engine.data.series import Series
-from engine.diagnose.effects.colored import LATENT
+from engine.diagnose.effects.kinds.colored import LATENT
 from engine.diagnose.judging.findings import (
     AS_GOOD,
     AS_LIKELY,
@@ -154,7 +154,7 @@ def _limits(cause: Cause) -> str:
     def told(value: float) -> str:
         return with_unit(value, cause.units.get(name, ""), 5)
 
-    # as :class:`engine.diagnose.effects.clip.Clip` has it
+    # as :class:`engine.diagnose.effects.kinds.clip.Clip` has it
     side = own["side"][1] if "side" in own else 1.0
     if side < -0.5:
         return f", lower limit {told(limit)}"

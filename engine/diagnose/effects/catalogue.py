@@ -11,34 +11,34 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from engine.diagnose.effects.bend import KINDS as BEND
-from engine.diagnose.effects.bend import straight_of
-from engine.diagnose.effects.cogging import KINDS as COGGING
-from engine.diagnose.effects.colored import KINDS as COLORED
-from engine.diagnose.effects.delays import KINDS as LATE
-from engine.diagnose.effects.dynamic import KINDS as MEMORY
+from engine.diagnose.effects.channels import Channels, Kind, Maker
 from engine.diagnose.effects.effect import Effect, worded_for
-from engine.diagnose.effects.first_state import KINDS as FIRST_STATE
-from engine.diagnose.effects.gain_steps import KINDS as GAIN_STEPS
-from engine.diagnose.effects.held import KINDS as HELD
-from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
-from engine.diagnose.effects.input_friction import KINDS as INPUT_FRICTION
-from engine.diagnose.effects.inputs import KINDS as INPUT
-from engine.diagnose.effects.kinds import Channels, Kind, Maker
-from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
-from engine.diagnose.effects.noise import KINDS as NOISE
-from engine.diagnose.effects.overflow import KINDS as OVERFLOW
-from engine.diagnose.effects.parameters import KINDS as OF_PARAMETERS
-from engine.diagnose.effects.paths import KINDS as PATHS
-from engine.diagnose.effects.play import KINDS as PLAY
-from engine.diagnose.effects.products import KINDS as PRODUCTS
+from engine.diagnose.effects.kinds.bend import KINDS as BEND
+from engine.diagnose.effects.kinds.bend import straight_of
+from engine.diagnose.effects.kinds.cogging import KINDS as COGGING
+from engine.diagnose.effects.kinds.colored import KINDS as COLORED
+from engine.diagnose.effects.kinds.delays import KINDS as LATE
+from engine.diagnose.effects.kinds.dynamic import KINDS as MEMORY
+from engine.diagnose.effects.kinds.first_state import KINDS as FIRST_STATE
+from engine.diagnose.effects.kinds.gain_steps import KINDS as GAIN_STEPS
+from engine.diagnose.effects.kinds.held import KINDS as HELD
+from engine.diagnose.effects.kinds.hysteresis import KINDS as HYSTERESIS
+from engine.diagnose.effects.kinds.input_friction import KINDS as INPUT_FRICTION
+from engine.diagnose.effects.kinds.inputs import KINDS as INPUT
+from engine.diagnose.effects.kinds.measurement import KINDS as MEASUREMENT
+from engine.diagnose.effects.kinds.noise import KINDS as NOISE
+from engine.diagnose.effects.kinds.overflow import KINDS as OVERFLOW
+from engine.diagnose.effects.kinds.parameters import KINDS as OF_PARAMETERS
+from engine.diagnose.effects.kinds.paths import KINDS as PATHS
+from engine.diagnose.effects.kinds.play import KINDS as PLAY
+from engine.diagnose.effects.kinds.products import KINDS as PRODUCTS
+from engine.diagnose.effects.kinds.slow_input import KINDS as SLOW_INPUT
+from engine.diagnose.effects.kinds.slow_sensor import KINDS as SLOW_SENSOR
+from engine.diagnose.effects.kinds.state import KINDS as STATE
+from engine.diagnose.effects.kinds.tails import KINDS as TAILS
+from engine.diagnose.effects.kinds.time import KINDS as TIME
+from engine.diagnose.effects.kinds.time_step import KINDS as TIME_STEP
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.slow_input import KINDS as SLOW_INPUT
-from engine.diagnose.effects.slow_sensor import KINDS as SLOW_SENSOR
-from engine.diagnose.effects.state import KINDS as STATE
-from engine.diagnose.effects.tails import KINDS as TAILS
-from engine.diagnose.effects.time import KINDS as TIME
-from engine.diagnose.effects.time_step import KINDS as TIME_STEP
 from engine.errors import OptionError
 from engine.statespace.model import MixedModel
 from engine.words import meant

@@ -12,8 +12,8 @@ import numpy as np
 
 from engine.data.joined import anew, apart, starts_of
 from engine.data.series import Series
-from engine.diagnose.effects.bend import bend
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.kinds.bend import bend
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
 from engine.diagnose.screening.episodes import Window, near, promising, strides

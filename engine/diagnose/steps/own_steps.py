@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.kinds.time_step import KIND
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.time_step import KIND
 from engine.estimation.own_steps import of_fit
 from engine.estimation.quasi_ml import QuasiFit
 

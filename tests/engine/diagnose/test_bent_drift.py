@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend
-from engine.diagnose.effects.bend import EVEN, bend
+from engine.diagnose.effects.kinds.bend import EVEN, bend
 from engine.diagnose.effects.setting import Setting
 
 VESSEL = engine.continuous(

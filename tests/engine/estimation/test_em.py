@@ -27,6 +27,7 @@ from engine import (
 from engine.estimation.em import Checkpoint
 from engine.estimation.em_loop import Loop, _Log
 from engine.filters.proposals import bootstrap
+from engine.ties import Ties
 from tests.engine.models_for_tests import draw, random_walk, theta_everywhere
 
 MODEL = get_model("linear-2")
@@ -266,7 +267,7 @@ def test_only_the_end_makes_a_run_lost(collapsed, lost, told):
     log.trace = [MODEL.theta()] * (len(collapsed) + 1)
     log.rows = [(-80.0, 9.0, 0.1, share) for share in collapsed]
     log.memory = [None] * len(collapsed)
-    found = log.result(("theta",), Outcome.ITERATIONS_USED_UP, None, "")
+    found = log.result(("theta",), Outcome.ITERATIONS_USED_UP, None, Ties())
     assert (found.outcome is Outcome.COLLAPSED) == lost
     assert told in found.message
     assert told or "of the rows" not in found.message

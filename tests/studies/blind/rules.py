@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.diagnose.effects.colored import LATENT
+from engine.diagnose.effects.kinds.colored import LATENT
 from engine.diagnose.judging.verdict import LEFT
 from engine.diagnose.refits.rounds import MARGIN, UNNAMED_MARGIN
 from tests.studies.blind import figures as f

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_pairs, at_states, each_pair
 from engine.diagnose.effects.effect import Effect, add_linear_coupling, add_to_state
-from engine.diagnose.effects.friction import rub
-from engine.diagnose.effects.kinds import Kind, at_pairs, at_states, each_pair
-from engine.diagnose.effects.odds import nothing_rubs
+from engine.diagnose.effects.kinds.friction import rub
+from engine.diagnose.effects.kinds.odds import nothing_rubs
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import USUAL, Traits

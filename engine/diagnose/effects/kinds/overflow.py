@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_pairs, each_moved
 from engine.diagnose.effects.effect import Effect, Split, on_base, pushed
-from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved
-from engine.diagnose.effects.odds import nothing_spills
+from engine.diagnose.effects.kinds.odds import nothing_spills
 from engine.diagnose.effects.setting import WIDEST, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind
 from engine.diagnose.effects.effect import Effect, Split, on_base
-from engine.diagnose.effects.friction import rubbed, with_feeding
-from engine.diagnose.effects.kinds import Kind
+from engine.diagnose.effects.kinds.friction import rubbed, with_feeding
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits

@@ -23,9 +23,9 @@ from engine.diagnose.effects.augmentation import (
     beside,
     spread_at_first,
 )
-from engine.diagnose.effects.delays import adds
+from engine.diagnose.effects.channels import Kind, at_inputs
 from engine.diagnose.effects.effect import Effect, Split
-from engine.diagnose.effects.kinds import Kind, at_inputs
+from engine.diagnose.effects.kinds.delays import adds
 from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input

@@ -15,8 +15,8 @@ from engine.diagnose.effects.augmentation import (
     beside,
     spread_at_first,
 )
+from engine.diagnose.effects.channels import Kind, at_outputs, at_terminals
 from engine.diagnose.effects.effect import Effect, Split, per_point
-from engine.diagnose.effects.kinds import Kind, at_outputs, at_terminals
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
-from engine.diagnose.effects.kinds import Kind, at_parameters
+from engine.diagnose.effects.kinds.time import from_when, lasting, over_the_record, since
 from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.time import from_when, lasting, over_the_record, since
 from engine.diagnose.effects.traits import ANY, Course, Traits
 from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel, Parameter

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
+from engine.diagnose.effects.channels import Kind, at_outputs
 from engine.diagnose.effects.effect import Effect, Split, per_point
-from engine.diagnose.effects.kinds import Kind, at_outputs
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.evaluation import hands_rows_on

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import (
-    Effect,
-    add_to_output,
-    add_to_state,
-)
-from engine.diagnose.effects.kinds import (
+from engine.diagnose.effects.channels import (
     Channels,
     Kind,
     at_signals,
     each_signal,
     each_state,
+)
+from engine.diagnose.effects.effect import (
+    Effect,
+    add_to_output,
+    add_to_state,
 )
 from engine.diagnose.effects.setting import ON_TIME, SOME_TIME, Setting
 from engine.diagnose.effects.traits import USUAL, Course, Traits

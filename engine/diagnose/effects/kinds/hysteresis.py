@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_memory
+from engine.diagnose.effects.channels import Channels, Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.effect import Effect, Split, pushed
-from engine.diagnose.effects.kinds import Channels, Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import add_linear_states, beside, spread_at_first
+from engine.diagnose.effects.channels import Kind, each_input, each_output, each_path
 from engine.diagnose.effects.effect import (
     Effect,
     Split,
     add_to_output,
     per_point,
 )
-from engine.diagnose.effects.kinds import Kind, each_input, each_output, each_path
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits

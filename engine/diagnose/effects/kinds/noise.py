@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_outputs, at_signals, each_signal
 from engine.diagnose.effects.effect import (
     Effect,
     Split,
@@ -15,8 +16,7 @@ from engine.diagnose.effects.effect import (
     change_step,
     per_point,
 )
-from engine.diagnose.effects.kinds import Kind, at_outputs, at_signals, each_signal
-from engine.diagnose.effects.measurement import observers
+from engine.diagnose.effects.kinds.measurement import observers
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import POSITIVE, Setting
 from engine.diagnose.effects.traits import Traits

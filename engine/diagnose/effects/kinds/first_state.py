@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_states
 from engine.diagnose.effects.effect import Effect, Split, on_base
-from engine.diagnose.effects.kinds import Kind, at_states
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, Density, Gaussian, MixedModel, Parameter

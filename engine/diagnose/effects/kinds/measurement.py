@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.clip import Clip
+from engine.diagnose.effects.channels import Kind, at_outputs
 from engine.diagnose.effects.effect import Effect, Split, add_to_output, change_output, per_point
-from engine.diagnose.effects.inputs import INPUT_OFFSET
-from engine.diagnose.effects.kinds import Kind, at_outputs
+from engine.diagnose.effects.kinds.clip import Clip
+from engine.diagnose.effects.kinds.inputs import INPUT_OFFSET
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_pairs
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
-from engine.diagnose.effects.kinds import Kind, at_pairs
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Parameter

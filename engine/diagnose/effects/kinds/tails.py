@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from engine.diagnose.effects.channels import Kind, at_signals
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.kinds import Kind, at_signals
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.filters.heavy_tails import with_mixture

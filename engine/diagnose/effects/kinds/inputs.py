@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.clip import Clip
+from engine.diagnose.effects.channels import Kind, at_inputs, each_input, each_moved
 from engine.diagnose.effects.effect import (
     Effect,
     Split,
@@ -16,7 +16,7 @@ from engine.diagnose.effects.effect import (
     change_inputs,
     on_base,
 )
-from engine.diagnose.effects.kinds import Kind, at_inputs, each_input, each_moved
+from engine.diagnose.effects.kinds.clip import Clip
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import SOME_TIME, WIDEST, Setting
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from engine.diagnose.effects.channels import Kind, at_inputs, at_outputs
 from engine.diagnose.effects.effect import Effect, Split, change_inputs, change_output
-from engine.diagnose.effects.kinds import Kind, at_inputs, at_outputs
-from engine.diagnose.effects.measurement import magnified
+from engine.diagnose.effects.kinds.measurement import magnified
+from engine.diagnose.effects.kinds.time import from_when, lasting, since
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.time import from_when, lasting, since
 from engine.diagnose.effects.traits import ANY, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_memory
+from engine.diagnose.effects.channels import Kind, at_terminals
 from engine.diagnose.effects.effect import Effect, Split
-from engine.diagnose.effects.kinds import Kind, at_terminals
-from engine.diagnose.effects.measurement import observers
+from engine.diagnose.effects.kinds.measurement import observers
 from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import promote

@@ -6,8 +6,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
-from engine.diagnose.effects.kinds import Kind, at_parameters
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import MixedModel, Parameter

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.channels import Kind, at_parameters, at_signals
 from engine.diagnose.effects.effect import Effect, add_to_output, add_to_state
-from engine.diagnose.effects.kinds import Kind, at_parameters, at_signals
-from engine.diagnose.effects.parameters import running_parameter, unit_of
+from engine.diagnose.effects.kinds.parameters import running_parameter, unit_of
+from engine.diagnose.effects.kinds.time import over_the_record
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.time import over_the_record
 from engine.diagnose.effects.traits import Course, Traits
 from engine.statespace.model import MixedModel, Parameter
 

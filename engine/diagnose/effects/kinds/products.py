@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 from typing import Any
 
+from engine.diagnose.effects.channels import Kind
 from engine.diagnose.effects.effect import Effect, add_to_state
-from engine.diagnose.effects.kinds import Kind
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Traits

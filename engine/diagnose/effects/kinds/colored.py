@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
+from engine.diagnose.effects.channels import Kind, each_output
 from engine.diagnose.effects.effect import Effect, Split
-from engine.diagnose.effects.kinds import Kind, each_output
 from engine.diagnose.effects.setting import FREQUENCIES, SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter

@@ -13,8 +13,8 @@ from engine.diagnose.effects.augmentation import (
     beside,
     spread_at_first,
 )
+from engine.diagnose.effects.channels import Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.effect import Effect, Split
-from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.setting import FREQUENCIES, SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
