@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from scipy.special import bdtrc, chdtrc, chdtri, gammaincinv, ndtr, ndtri, stdtr, stdtrit
+from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from engine.arrays import Array
 
@@ -53,6 +53,11 @@ def normal_quantile(p: Values) -> Array:
 def student_sf(value: float, degrees: float) -> float:
     """P(t(degrees) > value)."""
     return float(stdtr(degrees, -value))
+
+
+def f_sf(value: float, degrees: float, left: float) -> float:
+    """P(F > value) for F of so many degrees of freedom over those that are ``left``."""
+    return float(fdtrc(degrees, left, value))
 
 
 def student_quantile(p: float, degrees: float) -> float:

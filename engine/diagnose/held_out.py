@@ -10,6 +10,7 @@ import numpy as np
 
 from engine.data.joined import apart, joined, past_of
 from engine.data.series import Series
+from engine.diagnose.by_record import word_of_records
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
@@ -79,7 +80,7 @@ class HeldOut:
         progress: Progress = lambda stage, share: None,
     ) -> Judged:
         """The causes of the criterion that decides, with what they gain where nothing was fitted."""
-        judged = self._judged(found, asked, progress)
+        judged = self._heeding_records(self._judged(found, asked, progress))
         extended = judged.causes and judged.after is not judged.before
         if extended and judged.gain is None and not self.records.held_out:
             return replace(judged, notes=(*judged.notes, NOT_MEASURED))
@@ -91,6 +92,24 @@ class HeldOut:
         ):
             return replace(judged, notes=(*judged.notes, TESTS_NOT_USED))
         return judged
+
+    def _heeding_records(self, judged: Judged) -> Judged:
+        """The same where the records have one set of parameters; else with a note, and maybe no names."""
+        if not self.searched.begins:
+            return judged
+        named = judged.causes if judged.verdict in NAMES else ()
+        word = word_of_records(
+            judged.before,
+            judged.after,
+            self.searched,
+            self.records.numbers_of(apart(self.searched)),
+            [cause.effect for cause in named],
+            [cause.effect for cause in named if cause.where == "noise"],
+        )
+        if word is None:
+            return judged
+        verdict = Verdict.UNKNOWN if word.refutes else judged.verdict
+        return replace(judged, verdict=verdict, notes=(*judged.notes, word.sentence))
 
     def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
         search, free_run = found.search, asked.search
@@ -194,7 +213,7 @@ class HeldOut:
                 fair = None
             if fair is not None:
                 objection = falls_short(fair, self._promised(search, fair), FAIR_NOISE)
-        noises = any(one.effect.family == "noise" for one in search.named)
+        noises = [one.effect.name for one in search.named if one.effect.family == "noise"]
         if objection and gain is not None and not (gain.among or noises):
             return self._asked_with_noise_of_all(search, gain, objection)
         return gain, objection

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from engine.arrays import Array
 from engine.data.given import as_series_list, same_clock
 from engine.data.joined import in_turn, longest_of, overlapping, together
 from engine.data.series import Series
@@ -86,6 +87,12 @@ class Records:
             return self.train, there
         return together(taken).refined(self.main.substeps), there
 
+    def numbers_of(self, parts: Sequence[Series]) -> list[int]:
+        """Which of the records given each of the ``parts`` that are searched is; -1 for one that is none."""
+        given = zip(self.numbers, (self.main, *self.others), strict=True)
+        every = [(n, one.y[one.samples]) for n, one in given]
+        return [_number(part.y[part.samples], every) for part in parts]
+
     def check_enough(self, searched: Series, left: Mapping[str, int]) -> None:
         """Raise SeriesError where too few rows of all these can be searched together; says why."""
         rows = self.main.n_measured - self.train.n_measured + searched.n_measured
@@ -109,6 +116,11 @@ class Records:
             others=tuple(one.refined(k) for one in self.others),
             tests=tuple(one.refined(k) for one in self.tests),
         )
+
+
+def _number(y: Array, every: Sequence[tuple[int, Array]]) -> int:
+    """The number of the record whose first readings are ``y``."""
+    return next((n for n, one in every if np.array_equal(one[: len(y)], y, equal_nan=True)), -1)
 
 
 def others_left(left: Mapping[str, int]) -> str:

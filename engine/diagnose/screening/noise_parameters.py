@@ -26,14 +26,20 @@ from engine.statespace.model import MixedModel
 
 DIFFERENCE = 0.01  # of a parameter's scale, by which it is moved
 MEANS = (0, 2, 5)  # of what along_path returns: of the next state, the reading, the first state
+LATER = MEANS[:2]
 
 
 def noise_only(
-    model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series, path: MomentPath
+    model: MixedModel,
+    theta: Array,
+    indices: NDArray[np.intp],
+    series: Series,
+    path: MomentPath,
+    means: Sequence[int] = MEANS,
 ) -> NDArray[np.bool_]:
     """Which of the parameters ``indices`` (n,) change no mean of a step from where the filter was, (n,).
 
-    Where the model cannot be used beside theta they count as ones that do.
+    Where the model cannot be used beside theta they count as ones that do. ``means`` tells which are looked at.
     """
     here = along_path(model, theta, model, series, path)
     out = np.zeros(len(indices), dtype=bool)
@@ -43,7 +49,7 @@ def noise_only(
             moved = [along_path(model, end, model, series, path) for end in ends]
         except (EngineError, np.linalg.LinAlgError):
             continue
-        out[i] = all(np.array_equal(here[m], one[m]) for one in moved for m in MEANS)
+        out[i] = all(np.array_equal(here[m], one[m]) for one in moved for m in means)
     return out
 
 
@@ -52,6 +58,13 @@ def noise_of(fit: QuasiFit, series: Series) -> NDArray[np.bool_]:
     model, theta = fit.model, np.asarray(fit.theta)
     path = moment_path(model, theta, series)
     return noise_only(model, theta, model.free_indices(fit.free), series, path)
+
+
+def moves_on(fit: QuasiFit, series: Series) -> NDArray[np.bool_]:
+    """Which of a fit's free parameters change a mean after the first state (n_free,)."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    path = moment_path(model, theta, series)
+    return ~noise_only(model, theta, model.free_indices(fit.free), series, path, LATER)
 
 
 def noise_left_to_states(fit: QuasiFit, series: Series) -> str:
