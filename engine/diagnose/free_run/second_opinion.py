@@ -97,7 +97,7 @@ def second_opinion(
     if settled:
         start = causes.search.final
     held = tuple(name for name in base.model.parameter_names if name not in base.free)
-    if any(refit.effect.traits.says_hold for refit in named):
+    if causes.misread or any(refit.effect.traits.says_hold for refit in named):
         return SecondOpinion(*said, False, READ_OTHERWISE)
     records, rivals = telling(start.model, start.theta, start.free, given), named
     close = enough

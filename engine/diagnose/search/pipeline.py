@@ -25,7 +25,7 @@ from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
 from engine.diagnose.search.event_time import times_as_likely
 from engine.diagnose.search.search import LATER, search
-from engine.diagnose.steps.between_samples import read_otherwise, read_with
+from engine.diagnose.search.between_samples import read_otherwise, read_with, read_wrongly
 from engine.diagnose.steps.step_error import steps_for_sizes
 from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only
@@ -51,7 +51,8 @@ class Causes:
 
     The sizes of what was named need so many ``steps`` a sample. ``coarse`` where the error of the steps may
     decide between names; ``kinds`` of effects that were looked for, None for all. ``another_shape`` where names
-    were found whose shape is not what the states show; ``refuted`` names that something else contradicts.
+    were found whose shape is not what the states show; ``misread`` where the record read otherwise explains
+    more; ``refuted`` names that something else contradicts.
     """
 
     base: QuasiFit
@@ -63,6 +64,7 @@ class Causes:
     coarse: bool = False
     kinds: Sequence[str] | None = None
     another_shape: bool = False
+    misread: bool = False
     refuted: tuple[str, ...] = ()
 
 
@@ -133,8 +135,13 @@ def find_causes(  # noqa: PLR0913
     if other is not None:
         found = other.search
         notes.append(other.note)
+    kinds = effects if aside is None else aside.others
+    holds = [h for e in all_effects(setting, kinds) for h in e.traits.says_hold]
+    told = "" if settled else read_wrongly(found, series, list(dict.fromkeys(holds)), look_later)
+    notes.extend(filter(None, [told]))
     clock.progress("contradictions", 0.0)
-    unnamed = aside is not None and not aside.others  # only a controller may have been seen
+    # only a controller may have been seen, or how the record is read
+    unnamed = (aside is not None and not aside.others) or bool(told)
     judge = partial(
         judged, base, series, setting, alpha=alpha, seed=seed, unnamed=unnamed, read=settled
     )
@@ -154,7 +161,6 @@ def find_causes(  # noqa: PLR0913
         notes.extend([left] if left else [])
     else:
         notes.extend(times_as_likely(found, series))
-    kinds = effects if aside is None else aside.others
     # what steps get wrong has a shape of its own
     sized = verdict in NAMES or said.another_shape
     steps = _steps(found, series, setting, kept) if sized else series.substeps
@@ -169,6 +175,7 @@ def find_causes(  # noqa: PLR0913
         said.coarse,
         kinds,
         said.another_shape,
+        bool(told),
         said.refuted,
     )
 
