@@ -19,7 +19,7 @@ from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
-from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better
+from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better, runs_worse
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise, with_noise_of
 from engine.diagnose.judging.contradictions import particle_word
@@ -214,6 +214,9 @@ class HeldOut:
             if fair is not None:
                 objection = falls_short(fair, self._promised(search, fair), FAIR_NOISE)
         noises = [one.effect.name for one in search.named if one.effect.family == "noise"]
+        if gain is not None and not objection:
+            others = [one.effect.name for one in search.named if one.effect.name not in noises]
+            objection = runs_worse(gain, others, noises)
         if objection and gain is not None and not (gain.among or noises):
             return self._asked_with_noise_of_all(search, gain, objection)
         return gain, objection

@@ -93,6 +93,23 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
     )
 
 
+def runs_worse(gain: Gain, others: Sequence[str], noises: Sequence[str]) -> str:
+    """A sentence where ``others`` named beside ``noises`` make the free run worse; else "".
+
+    Noise moves no free run, and what is gained one step ahead may be all its own. So the free run is what
+    speaks of the others.
+    """
+    worse = runs_changed(gain.outputs)[1]
+    if not (others and noises and worse) or gain.samples < TELLING_ROWS:
+        return ""
+    stand = "stands" if len(others) == 1 else "stand"
+    return (
+        f"On data that it has not seen the extension simulates {_names(worse)} worse: "
+        f"{enumerated(_runs(worse))}. What it predicts better may be by {enumerated([*noises])}, and "
+        f"{enumerated([*others])} {stand} in for something else: no cause is named."
+    )
+
+
 def nothing_better(gain: Gain) -> bool:
     """Whether held-out data that could tell show nothing of an extension better, surely or not.
 

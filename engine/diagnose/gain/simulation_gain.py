@@ -26,7 +26,8 @@ class OutputGain:
     ``rmse`` in ``unit``, ``fit`` = 100 (1 - rmse / std(y)) %, ``difference`` = after - before;
     ``floor`` the standard deviation of the measurement noise; ``share_gone`` of the squared error above that
     floor, None where there is none above it. ``as_worse``, where it seems to be worse: of records that the
-    extended model simulates itself, the share where its run is as much worse than the one before.
+    extended model simulates itself, the share where its run is as much worse than the one before, as a ratio of
+    their errors: by the difference an excursion that dwarfs both runs, as of outliers, would excuse any run.
     """
 
     output: str
@@ -132,7 +133,7 @@ def output_gains(
             i = list(base.model.outputs).index(one.output)
             kept = rows & part.observed[:, i]
             each = [_root_means(records[:, kept, i] - run[kept, i]) for run in (before, after)]
-            worse = each[1] - each[0] >= one.difference
+            worse = each[1] * one.rmse_before >= each[0] * one.rmse_after
             out[k] = replace(one, as_worse=float(np.mean(worse)))
     return out
 

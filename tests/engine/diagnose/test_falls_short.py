@@ -10,7 +10,7 @@ from engine import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.second_opinion import SecondOpinion
-from engine.diagnose.gain.adoption import Decision, falls_short, nothing_better
+from engine.diagnose.gain.adoption import Decision, falls_short, nothing_better, runs_worse
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.gain.simulation_gain import OutputGain
 from engine.diagnose.held_out import HeldOut
@@ -127,6 +127,18 @@ def test_a_gain_is_promised_in_proportion_to_the_rows_less_a_nat_for_each_parame
     # of a record with five times as many samples, one in five was searched
     judge = HeldOut(Records(Series(np.repeat(y, 5), dt=0.2)), searched, 0)
     assert judge._promised(search, LOSS) == pytest.approx(promised / 5.0)
+
+
+def test_what_noise_gains_one_step_ahead_does_not_speak_for_what_is_named_beside_it():
+    gains = replace(LOSS, log_density=90.0, p_value=1e-4, p_loss=0.9999, decision=Decision.LOSES)
+    worse = replace(gains, outputs=(output(1.6, (0.1, 0.9)),))
+    said = runs_worse(worse, ["saturation:y"], ["heavy-tails:x"])
+    assert "simulates y worse: its free run of y is wrong by 1.6 m rms instead of 1" in said
+    assert "may be by heavy-tails:x, and saturation:y stands in for something else" in said
+    assert runs_worse(worse, [], ["heavy-tails:x"]) == ""  # its run is that of the model as given
+    assert runs_worse(worse, ["saturation:y"], []) == ""
+    assert runs_worse(gains, ["saturation:y"], ["heavy-tails:x"]) == ""
+    assert runs_worse(replace(worse, samples=10), ["saturation:y"], ["heavy-tails:x"]) == ""
 
 
 @dataclass(frozen=True, eq=False)

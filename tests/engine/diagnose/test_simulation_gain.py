@@ -124,3 +124,18 @@ def test_a_run_that_is_off_beyond_what_noise_does_is_worse():
     gain = measure_gain(before, after, [series.part(20, 140)], series.part(0, 20))
     assert gain.outputs[0].as_worse == 0.0
     assert runs_changed(gain.outputs)[1]
+
+
+def test_excursions_that_dwarf_both_runs_excuse_neither():
+    """As of outliers of a state: by the difference half of them excused a run four times as far off."""
+    base = SimpleNamespace(model=SimpleNamespace(outputs={"y": "m"}))
+    rng, rows = np.random.default_rng(5), np.ones(80, dtype=bool)
+    part = engine.Series(y=0.3 * rng.standard_normal((80, 1)), dt=1.0)
+    before, after = np.zeros((80, 1)), np.full((80, 1), 1.2)
+    far = 30.0 * rng.choice([-1.0, 1.0], (200, 1, 1)) * np.ones((1, 80, 1))
+    (one,) = output_gains(base, part, rows, before, after, np.ones(1), 0, lambda: far)
+    assert one.interval_difference[0] > 0.0
+    assert one.as_worse < 0.05
+    near = 0.2 * rng.standard_normal((200, 80, 1))  # where the run before was
+    (one,) = output_gains(base, part, rows, before, after, np.ones(1), 0, lambda: near)
+    assert one.as_worse > 0.05
