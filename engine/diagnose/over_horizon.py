@@ -108,6 +108,18 @@ class OverHorizon:
                 return other.effects
         return ()
 
+    def as_good(self, names: Collection[str], instead: str) -> tuple[str, ...]:
+        """Those of ``names`` that predict better than the answer at every horizon ``instead`` of its effect."""
+        answer = self.candidates[1]
+        rest = set(answer.effects) - {instead}
+        out = []
+        for other in self.candidates[2:]:
+            (own, *further) = set(other.effects) - rest or {instead}
+            ahead = np.array(other.errors) * (1.0 + TIE) < np.array(answer.errors)
+            if ahead.all() and own in names and not further and rest <= set(other.effects):
+                out.append(own)
+        return tuple(out)
+
 
 def over_horizon(
     before: QuasiFit, after: QuasiFit, names: tuple[str, ...], found: Search, series: Series
