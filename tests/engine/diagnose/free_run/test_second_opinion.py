@@ -211,7 +211,8 @@ def test_where_noise_explains_the_free_run_no_function_is_said_to_act():
     u = np.repeat(rng.uniform(0.0, 4.0, 8), 25)
     series = engine.simulate(VESSEL, {}, 200, rng, u=u, dt=1.0).series
     base = quasi_ml(VESSEL, series)
-    causes = SimpleNamespace(base=base, search=SimpleNamespace(rounds=[]), verdict=Verdict.UNKNOWN)
+    search = SimpleNamespace(rounds=[])
+    causes = SimpleNamespace(base=base, search=search, verdict=Verdict.UNKNOWN, misread=False)
     one = [series]
     asked = second_opinion(
         causes,
