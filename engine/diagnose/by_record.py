@@ -104,30 +104,34 @@ def word_of_records(
     own = own_values(after if named else before, series)
     if own is None:
         return None
-    which = enumerated([*own.names])
-    said = (
-        f"The records do not have the same {which}{f' beside {enumerated([*named])}' if named else ''} "
-        f"({probability(own.p_value)}; 2 x log-likelihood gained {number(own.gain)} by {own.further} values "
-        f"more): {own.in_words(numbers)}."
-    )
+    said = _said(own, numbers, named)
     if noises:
-        return Word(
-            f"{said} What common values get wrong looks like {enumerated([*noises])}, so no cause is named.",
-            True,
-        )
+        common = f"What common values get wrong looks like {enumerated([*noises])}, so no cause is named."
+        return Word(f"{said} {common}", True)
     if named:
         alone = own_values(before, series)
-        if alone is None or alone.gain - _cost(alone.further, series) <= _worth(
-            before, after, series
-        ):
+        gained = 0.0 if alone is None else alone.gain - _cost(alone.further, series)
+        if alone is None or gained <= _worth(before, after, series):
             return Word(f"{said} The sizes of what was found are those of a common fit.", False)
-        said += (
-            f" By themselves they explain more than {enumerated([*named])}, so no cause is named."
+        # beside a step in time, say, values are what that leaves
+        said = (
+            f"{_said(alone, numbers, ())} That explains more than {enumerated([*named])}, so no cause is "
+            "named."
         )
     return Word(
         f"{said} Either they differ, or something that the model lacks does: diagnose a record by itself, or "
         "make what is known to differ an input of the model.",
         True,
+    )
+
+
+def _said(own: OwnValues, numbers: Sequence[int], named: Sequence[str]) -> str:
+    """The values that records have, beside what was ``named``."""
+    beside = f" beside {enumerated([*named])}" if named else ""
+    return (
+        f"The records do not have the same {enumerated([*own.names])}{beside} "
+        f"({probability(own.p_value)}; 2 x log-likelihood gained {number(own.gain)} by {own.further} values "
+        f"more): {own.in_words(numbers)}."
     )
 
 

@@ -94,7 +94,10 @@ def test_noise_is_no_name_where_records_differ(differing):
 @pytest.mark.long
 def test_a_cause_that_explains_less_than_differing_records_is_none(differing):
     fit, series = differing
-    assert word_of_records(fit, fit, series, range(6), ["drag:conc"], []).refutes
+    word = word_of_records(fit, fit, series, range(6), ["drag:conc"], [])
+    assert word.refutes
+    assert "beside" not in word.sentence  # the values are those without it
+    assert "explains more than drag:conc" in word.sentence
 
 
 def test_what_many_rows_gain_is_chi_squared_and_what_few_gain_is_less_sure():
