@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from engine.diagnose.held_out import Judged
+from engine.diagnose.judging.findings import Verdict
+from engine.diagnose.judging.judgement import NAMES
+from engine.diagnose.judging.verdict import RULED_OUT, named_by
 from engine.diagnose.over_horizon import OverHorizon
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.judgement import NAMES
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.verdict import RULED_OUT, named_by
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round
 from engine.words import enumerated
 
 

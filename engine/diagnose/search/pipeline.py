@@ -23,9 +23,9 @@ from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
+from engine.diagnose.search.between_samples import read_otherwise, read_with, read_wrongly
 from engine.diagnose.search.event_time import times_as_likely
 from engine.diagnose.search.search import LATER, search
-from engine.diagnose.search.between_samples import read_otherwise, read_with, read_wrongly
 from engine.diagnose.steps.step_error import steps_for_sizes
 from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only

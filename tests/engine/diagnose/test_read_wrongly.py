@@ -7,10 +7,10 @@ import pytest
 from engine import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.search.between_samples import read_wrongly
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.reservoir import RESERVOIR, record
 

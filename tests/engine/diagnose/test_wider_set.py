@@ -8,11 +8,11 @@ import pytest
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.held_out import Judged
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.over_horizon import Candidate, OverHorizon
-from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.found import Search
-from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import Round
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import Round
 from engine.diagnose.wider_set import widened
 from tests.engine.hidden_effects import DRIVE
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.records import Records
 from engine.diagnose.judging.feedback import answering
+from engine.diagnose.records import Records
 from engine.diagnose.refits.found import Search, size_cost
 from engine.diagnose.refits.rounds import MARGIN
 from engine.diagnose.steps.substeps import prepare
