@@ -31,6 +31,7 @@ import numpy as np
 
 from engine.data.joined import apart
 from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.refitting import refit_swallowed, swallowed_p
@@ -168,13 +169,25 @@ def screen_of_simulated(
     """
     try:
         refitted, drawn = simulated(question, rng)
-        draws, (setting, kinds) = int(rng.integers(2**31)), (question.setting, question.kinds)
-        seen = screen_effects(refitted, drawn, setting, kinds, LEVEL, draws, silent)
+        draws = int(rng.integers(2**31))
+        seen = _screened(question, refitted, drawn, draws)
         if not swallowed:
             return seen, 1.0
         return seen, swallowed_p(seen, refit_swallowed(refitted, drawn, seen, silent))
     except (EngineError, np.linalg.LinAlgError):
         return None
+
+
+def _screened(
+    question: Question,
+    fit: QuasiFit,
+    series: Series,
+    seed: int,
+    asked: Callable[[Effect], bool] = lambda effect: True,
+) -> Screen:
+    """The same screen of a fit to a simulated series."""
+    setting, kinds = question.setting, question.kinds
+    return screen_effects(fit, series, setting, kinds, LEVEL, seed, silent, asked=asked)
 
 
 def sequential_p(
@@ -208,9 +221,18 @@ def _series(alpha: float) -> int:
 
 
 def swallowed_of_simulated(question: Question, seed: list[int]) -> float | None:
-    """The p-value of these refits on one simulated series; None where lost."""
-    drawn = screen_of_simulated(question, np.random.default_rng(seed), swallowed=True)
-    return None if drawn is None else drawn[1]
+    """The p-value of these refits on one simulated series; None where lost.
+
+    Of the screen no more is made than says which they are.
+    """
+    rng = np.random.default_rng(seed)
+    try:
+        refitted, drawn = simulated(question, rng)
+        draws = int(rng.integers(2**31))
+        seen = _screened(question, refitted, drawn, draws, lambda one: one.traits.swallowed)
+        return swallowed_p(seen, refit_swallowed(refitted, drawn, seen, silent))
+    except (EngineError, np.linalg.LinAlgError):
+        return None
 
 
 def simulated_logs(question: Question, names: Sequence[str], seed: list[int]) -> Array | None:

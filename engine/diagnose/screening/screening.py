@@ -41,24 +41,29 @@ def screen_effects(
     seed: int,
     progress: Progress,
     outliers: Effect | None = None,
+    asked: Callable[[Effect], bool] = lambda effect: True,
 ) -> Screen:
-    """Every effect of the catalogue tested on a fitted model.
+    """Every effect of the catalogue tested on a fitted model, or those that are ``asked`` for.
 
     With ``outliers`` found and taken out no others are looked for, nor is their channel's noise: what
-    is left of it, smaller outliers and a cut, is no finding of its own.
+    is left of it, smaller outliers and a cut, is no finding of its own. The score of an effect does not depend
+    on which others are tested.
     """
     model, theta = fit.model, np.asarray(fit.theta)
     path = moment_path(model, theta, series)
     indices = inside(model, theta, model.free_indices(fit.free), series, path)
     projection = Projection(parameter_columns(model, theta, indices, series))
-    errors = None
-    if outliers is None:
-        errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
     # those of the base model: a change of what an effect itself added is no cause of its own
     effects = [e for e in all_effects(setting, kinds) if e.size.name not in model.parameter_names]
+    effects = [e for e in effects if asked(e)]
     if outliers is not None:
         left = outliers.channel
         effects = [e for e in effects if not e.traits.outliers and not _noise_of(e, left)]
+    errors = None
+    if any(
+        e.traits.outliers for e in effects
+    ):  # particles tell them, which take longer than the rest
+        errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
 
     def tested(effect: Effect) -> Test | None:
         try:

@@ -17,13 +17,17 @@ from engine.diagnose.refits.calibration import (
     boldness,
     calibrated,
     decides,
+    screen_of_simulated,
     sequential_p,
+    swallowed_of_simulated,
 )
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.refits.refitting import REFITTED, swallowed_p
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import make_test, screen
 from engine.diagnose.search import search
+from engine.estimation.quasi_ml import quasi_ml
+from engine.simulation.simulate import simulate
 from tests.engine.hidden_effects import DRIVE
 
 ALPHA = 0.05
@@ -157,6 +161,33 @@ def test_refits_are_an_alarm_only_where_few_simulated_series_have_the_like(
     assert p == pytest.approx(expected)
     assert (p <= ALPHA) == (left == 0)
     assert len(list(values)) == left
+
+
+def test_a_series_simulated_for_refits_is_screened_for_what_noise_swallows_alone(monkeypatch):
+    """It may take sixty of them, and a whole screen of each took half of their time."""
+    every, screened = all_effects(Setting(DRIVE)), []
+
+    def seen(*args, asked):
+        screened.extend(effect for effect in every if asked(effect))
+
+    monkeypatch.setattr(calibration, "simulated", lambda *a: (None, None))
+    monkeypatch.setattr(calibration, "screen_effects", seen)
+    monkeypatch.setattr(calibration, "refit_swallowed", lambda *a: [])
+    monkeypatch.setattr(calibration, "swallowed_p", lambda *a: 0.5)
+    assert swallowed_of_simulated(NOBODY, [1]) == 0.5
+    assert screened == [effect for effect in every if effect.traits.swallowed]
+    assert 0 < len(screened) < len(every)
+
+
+@pytest.mark.long
+def test_refits_of_a_simulated_series_are_those_of_its_whole_screen():
+    u = np.repeat(np.random.default_rng(1).uniform(-3, 3, 12), 10)
+    series = simulate(DRIVE, None, len(u), np.random.default_rng(2), u=u, dt=0.05).series
+    fit = quasi_ml(DRIVE, series, None)
+    question = Question(fit, series, Setting(DRIVE), ["step", "harmonic", "drag", "outliers"])
+    for k in range(3):
+        whole = screen_of_simulated(question, np.random.default_rng([k, 3]), swallowed=True)
+        assert swallowed_of_simulated(question, [k, 3]) == whole[1]
 
 
 def test_refits_alarm_as_often_as_they_may_and_see_what_is_rare(monkeypatch):

@@ -10,9 +10,10 @@ import engine
 from engine import simulate
 from engine.diagnose import make_effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening import screening
 from engine.diagnose.screening.tails import standardised_errors, tail_test
 from engine.diagnose.search.search import without_outliers
-from engine.estimation.quasi_ml import quasi_ml
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.filters.sigma_point import moment_path
 from tests.engine.hidden_effects import DRIVE, DT, levels
 
@@ -69,6 +70,16 @@ def test_those_of_a_state_are_judged_by_its_share_in_the_errors(drive):
     errors = standardised_errors(path, series.observed, None)
     of_state = known(SPEED, path, errors)
     assert of_state == pytest.approx(known(READING, path, errors))
+
+
+def test_particles_are_drawn_where_outliers_are_looked_for_alone(monkeypatch, drive):
+    """They take longer than the rest of a screen, and nothing else asks for what they say."""
+    asked, series = [], drive[0]
+    fit = QuasiFit(DRIVE, DRIVE.theta(), 0.0, (), np.empty((0, 0)), 1, True)
+    monkeypatch.setattr(screening, "pit_of", lambda *a: asked.append(1))
+    for kinds, times in ((["force"], 0), (["force", "heavy-tails:reading"], 1)):
+        screening.screen_effects(fit, series, Setting(DRIVE), kinds, 0.05, 0, lambda *a: None)
+        assert len(asked) == times
 
 
 def test_too_few_errors_or_none_that_scatter_are_not_judged(drive):
