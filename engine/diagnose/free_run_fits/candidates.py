@@ -26,13 +26,17 @@ TOLERANCE = 0.1  # of a log-likelihood: noise to start from
 
 
 def candidates(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
-    """Effects that a noise-free run can show; those on a state that only noise moves have no meaning here."""
+    """Effects that a noise-free run can show; those on a state that only noise moves have no meaning here.
+
+    Nor is one asked that is odd at its channel: a free run has no odds to weigh it by.
+    """
     disturbances = set(setting.states) - set(setting.moved)
     known = set(fit.model.parameter_names)
     out = []
     for effect in all_effects(setting, kinds):
         source, _, target = effect.channel.partition("->")
-        shown = effect.family in FAMILIES and not effect.traits.unnamed and effect.readings is None
+        usual = not (effect.traits.unnamed or effect.traits.odd)
+        shown = effect.family in FAMILIES and usual and effect.readings is None
         if shown and effect.size.name not in known and not {source, target} & disturbances:
             out.append(effect)
     return out

@@ -105,6 +105,8 @@ def test_a_slope_is_asked_of_what_moves_means_and_of_channels_that_are_left_out(
     channels = [e.channel for e in all_effects(setting, ["parameter-slope"])]
     wanted = [f"{u}->{p}" for p in ("absorbed", "loss", "capacity") for u in model.inputs]
     assert channels == wanted  # none of the noises q and r
+    odd = {e.channel for e in all_effects(setting, ["parameter-slope"]) if e.traits.odd}
+    assert odd == {name for name in wanted if name.startswith("sun")}  # which drives
     effect = make_effect("parameter-slope:wind->loss", setting)
     assert effect.size.unit == "W/m^2/K"  # nothing says what the wind counts
     middle = effect.parameters[1]

@@ -22,3 +22,14 @@ def nothing_spills(setting: Setting, state: str) -> bool:
     """Whether a state is a temperature, of which no store is full."""
     kinds = [kind for _, kind in meanings(setting.unit(state))]
     return bool(kinds) and all(kind in TEMPERATURES for kind in kinds)
+
+
+def only_drives(setting: Setting, source: str) -> bool:
+    """Whether an input is what drives the system, and no condition on which a parameter may depend.
+
+    A wind that the model makes no other use of is one, and a temperature beside one that is a state. What a
+    friction has to do with the voltage of its drive is that both are large at once.
+    """
+    surroundings = setting.model.inputs[source] in setting.states.values()
+    _, moved = setting.feeds
+    return not surroundings and bool(moved[:, list(setting.model.inputs).index(source)].any())

@@ -9,6 +9,7 @@ import numpy as np
 
 from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
+from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.time import from_when, lasting, over_the_record, since
 from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
@@ -139,15 +140,13 @@ def _slope(setting: Setting, channel: str) -> Effect | None:
             "parameter-drift": "changes with time, whatever the input",
             "input-gain": "is the same at any size of the input",
         },
-        traits=Traits(of_parameter=True, plainness=ANY + 1),
+        traits=Traits(of_parameter=True, plainness=ANY + 1, odd=only_drives(setting, source)),
     )
 
 
 def _each_slope(setting: Setting) -> Iterator[str]:
     """Each parameter but those of noise with each input, also with one that the model leaves out."""
-    if not setting.model.nu:
-        return
-    for target in setting.model.parameter_names:
+    for target in setting.model.parameter_names if setting.model.nu else ():
         if _moves_means(setting, target):
             yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
 
