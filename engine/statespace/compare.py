@@ -53,7 +53,14 @@ def noise_of(now: Result, nudged: list[Result]) -> Result:
         )
         for one in nudged
     ]
-    return tuple(None if x is None else np.maximum(x, y) for x, y in zip(*moved, strict=True))
+    return larger(*moved)
+
+
+def larger(xs: Result, ys: Result) -> Result:
+    """The larger one of two sizes of each entry; None where there is none to compare."""
+    return tuple(
+        None if x is None or y is None else np.maximum(x, y) for x, y in zip(xs, ys, strict=True)
+    )
 
 
 def differ(

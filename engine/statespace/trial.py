@@ -15,6 +15,7 @@ from engine.statespace.compare import (
     copies,
     differ,
     identical,
+    larger,
     noise_of,
     sizes_of,
 )
@@ -155,18 +156,26 @@ class Trial:
         company: Indices,
         singles: Iterable[tuple[int, Result | None]],
     ) -> bool:
-        """Whether rows give the same in less company, in another order, and alone."""
+        """Whether rows give the same in less company, in another order, and alone.
+
+        A row alone is rounded at its own size, which may be far beyond that of the company, as where it has
+        run away.
+        """
         sizes = sizes_of(at_rows(together, company))
-        fewer = rows.take(kind, company)
-        now = copies(self.together(*fewer.fresh()))
-        pairs = [(at_rows(together, company), now)]
-        pairs += [(at_rows(together, np.array([i])), one) for i, one in singles if one is not None]
-        apart = [pair for pair in pairs if differ(*pair, sizes, kind is None)]
+        now = copies(self.together(*rows.take(kind, company).fresh()))
+        pairs = [(at_rows(together, company), now, sizes)]
+        there = [(i, one) for i, one in singles if one is not None]
+        for i, one in there:
+            own = larger(sizes, sizes_of(one))
+            pairs.append((at_rows(together, np.array([i])), one, own))
+        apart = [pair for pair in pairs if differ(*pair, kind is None)]
         if not apart:
             return True
-        nudged = [copies(self.together(*fewer.nudged(sign))) for sign in (-1.0, 1.0)]
-        noise = noise_of(now, nudged)  # some functions magnify rounding
-        return not any(differ(*pair, sizes, kind is None, noise) for pair in apart)
+        every = rows.take(kind, np.append(company, np.array([i for i, _ in there], dtype=np.intp)))
+        known = copies(self.together(*every.fresh()))
+        nudged = [copies(self.together(*every.nudged(sign))) for sign in (-1.0, 1.0)]
+        noise = noise_of(known, nudged)  # some functions magnify rounding
+        return not any(differ(*pair, kind is None, noise) for pair in apart)
 
     def _singles(
         self, rows: Rows, kind: Kind | None, at: Iterable[Any]

@@ -23,6 +23,7 @@ from engine.simulation.simulate import propagate
 from engine.statespace.model import as_matrix, as_rows
 from engine.statespace.points import Points
 from engine.statespace.rows import Rows
+from engine.statespace.trial import Trial
 
 NX, LIMIT = 2, 0.7
 
@@ -186,6 +187,25 @@ def test_particles_that_influence_each_other_are_refused(first):
         ModelError, match=r"'a-users', dynamics: .* depends on the other rows.*a\[:, 0\]"
     ):
         engine.rbpf(replace(model, dynamics=dynamics), None, series, 50, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("size", [1e3, 1e34])
+def test_a_particle_that_has_run_away_is_not_taken_for_one_that_others_influence(size):
+    """Its rounding is that of its own size: beyond all that the other particles are."""
+    a = np.linspace(0.5, 1.5, 40)[:, None]
+    a[7] = size
+    theta = user_model().record(user_model().theta())
+    rows = Rows(a, np.zeros(2), 0.0, 0.1, theta)
+
+    def regular(a, u, t, dt, theta):  # rounded otherwise where rows stand side by side
+        return (a * (1.0 + (np.finfo(float).eps if len(a) > 1 else 0.0)), None, None)
+
+    trial = Trial(regular, (np.zeros(len(theta)), np.ones(len(theta))))
+    company = np.delete(np.arange(40), 7)[:20]
+    alone = [(7, regular(a[7:8], *rows[1:]))]
+    assert trial._like(rows, None, regular(*rows), company, alone)
+    alone = [(7, regular(1.001 * a[7:8], *rows[1:]))]
+    assert not trial._like(rows, None, regular(*rows), company, alone)
 
 
 def test_a_condition_that_shows_late_is_found_when_states_get_there():
