@@ -14,6 +14,7 @@ import numpy as np
 
 from engine.data.faults import faults_of
 from engine.data.series import Series
+from engine.diagnose.effects.parameters import stopped_share
 from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
@@ -28,7 +29,7 @@ from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
 from engine.views import Figures, Shown, View, plots, save, sheet, tables, view
-from engine.words import tidy, with_unit
+from engine.words import enumerated, tidy, with_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +158,27 @@ class Diagnosis(Shown):
         """The criterion that decided: ``likelihood`` or ``free run``."""
         return "free run" if self.free_run is not None and self.free_run.decides else "likelihood"
 
+    def _stopped_as_they_change(self) -> list[str]:
+        """Sentences on causes that change a parameter, which a bound holds back in a part of the record.
+
+        As each was found first: beside later ones, which say what it cannot, it may be off the bound.
+        """
+        names = [cause.effect for cause in self.causes]
+        rounds = ([self.search.begun] if self.search.begun else []) + [*self.search.rounds]
+        out: dict[str, str] = {}
+        for one in (found.refits[0] for found in rounds if found.equivalent):
+            name, fit = one.effect.name, one.fit
+            share = stopped_share(one.effect, fit.model, fit.theta, self.series)
+            if name not in names or not share or name in out:
+                continue
+            others = enumerated([other for other in names if other != name])
+            more = f", and {others} may only make up for that" if others else ""
+            out[name] = (
+                f"With {name} a bound of the parameter holds it back in {100 * share:.2g} % of the samples: "
+                f"how it goes on there is not in the answer{more}. Wider bounds tell, where it may go beyond."
+            )
+        return [*out.values()]
+
     @property
     def faults(self) -> tuple[str, ...]:
         """What to look at in the record before any cause is believed: dead, cut, stuck, given twice, marks."""
@@ -195,7 +217,8 @@ class Diagnosis(Shown):
                 return f"{text}what was found may only make up for that."
             return f"{text}what was found makes up for that, or drove it there. With it, {name} is {then}."
 
-        return tuple(said(name) for name in fit.free if name in (before | still) - noise)
+        out = [said(name) for name in fit.free if name in (before | still) - noise]
+        return (*out, *self._stopped_as_they_change())
 
     @property
     def trusted(self) -> bool:

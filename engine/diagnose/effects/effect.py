@@ -43,7 +43,8 @@ class Effect:
     the data can tell; ``spread`` the one that is 0 where a memory begins at rest, which is tried, too;
     ``readings(y, size)`` what it does to a channel's finished readings (T,), where the extension only stands
     for that (rounding as noise); ``shown`` the size that the readings themselves show, if they do: it is known
-    then, and no parameter; ``traits`` what the search must know of its kind.
+    then, and no parameter; ``runs(t, u, own)`` what is added to the parameter of the model that it changes;
+    ``traits`` what the search must know of its kind.
     """
 
     kind: str
@@ -61,6 +62,7 @@ class Effect:
     spread: str | None = None
     readings: Callable[[Array, float], Array] | None = None
     shown: float | None = None
+    runs: Callable[[Any, Any, Sequence[Any]], Any] | None = None
     traits: Traits = USUAL
 
     @property

@@ -1,10 +1,13 @@
 """A parameter that depends on an input: the loss of a panel that grows with the wind."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
+from engine.diagnose.effects.parameters import stopped_share
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
 
@@ -93,6 +96,47 @@ def test_a_size_that_is_tied_as_the_whole_model_is_keeps_its_name():
     assert any("Only determined together" in note for note in found.notes)
     after = found.search.final.theta
     assert cause.size / after["loss"] == pytest.approx(SLOPE / LOSS, rel=0.15)
+
+
+def bounded(most):
+    """The panel, its loss at most so much."""
+    parameters = [
+        replace(p, bounds=(1.0, most)) if p.name == "loss" else p for p in PANEL.parameters
+    ]
+    return replace(PANEL, parameters=parameters)
+
+
+@pytest.mark.long
+def test_a_bound_that_holds_back_what_changes_is_said():
+    """A heat pump's COP went to 4.2 and had the bound 3.5: a second way of its power was named."""
+    found = diagnose(
+        bounded(23.0),
+        record(SLOPE),
+        theta={"capacity": CAPACITY},
+        free=FREE,
+        effects=KINDS,
+        processes=1,
+        held_out=0,
+    )
+    assert "parameter-slope:wind->loss" in [cause.effect for cause in found.causes]
+    (said,) = [one for one in found.stopped if "parameter-slope:wind->loss a bound" in one]
+    assert "Wider bounds" in said
+    assert "holds it back" in " ".join(str(found).split())
+
+
+@pytest.mark.parametrize(("most", "share"), [(200.0, 0.0), (22.0, 0.3)])
+def test_the_share_of_a_record_in_which_a_bound_stops_a_parameter(most, share):
+    wind = np.arange(10.0)
+    model = with_inputs(bounded(most), ["wind"])
+    series = engine.Series(
+        np.zeros((10, 1)), u=np.column_stack([wind, wind, wind]), dt=DT, u_names=list(model.inputs)
+    )
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    slope, plain = (make_effect(n, setting) for n in ("parameter-slope:wind->loss", "step:cell"))
+    extended = slope.apply(model)  # the loss is 20 + wind - 4.5
+    theta = extended.theta({slope.size.name: 1.0})
+    assert stopped_share(slope, extended, theta, series) == pytest.approx(share)
+    assert stopped_share(plain, extended, theta, series) == 0.0
 
 
 def test_a_slope_is_asked_of_what_moves_means_and_of_channels_that_are_left_out():

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.series import Series
 from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds.odds import only_drives
@@ -15,7 +16,7 @@ from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Course, Traits
 from engine.errors import EngineError
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import Array, MixedModel, Parameter, Theta
 from engine.units import product
 
 ONTO = "->"
@@ -55,6 +56,20 @@ def running_parameter(
     return extend
 
 
+def stopped_share(effect: Effect, model: MixedModel, theta: Theta, series: Series) -> float:
+    """The share of rows in which a bound stops the parameter of the ``model`` that an effect changes.
+
+    Without that bound nothing else may be needed; with it, other effects may make up for what it forbids.
+    """
+    if effect.runs is None:
+        return 0.0
+    name = effect.channel.rpartition(ONTO)[2]
+    low, high = model.parameters[model.index(name)].bounds
+    own = [theta[p.name] for p in effect.parameters]
+    value = theta[name] + np.broadcast_to(effect.runs(series.t, series.u.T, own), len(series))
+    return float(np.mean((value < low) | (value > high)))
+
+
 def unit_of(setting: Setting, channel: str) -> str:
     """Unit of a parameter."""
     return setting.model.parameters[setting.model.parameter_names.index(channel)].unit
@@ -91,6 +106,7 @@ def _change(kind: str, title: str) -> Kind:
                 "cubic": "depends on the state",
                 "step": "changes once, whatever the state",
             },
+            runs=course,
             traits=Traits(
                 Course.STEP if steps else Course.DRIFT, of_parameter=True, swallowed=steps
             ),
@@ -140,6 +156,7 @@ def _slope(setting: Setting, channel: str) -> Effect | None:
             "parameter-drift": "changes with time, whatever the input",
             "input-gain": "is the same at any size of the input",
         },
+        runs=course,
         traits=Traits(of_parameter=True, plainness=ANY + 1, odd=only_drives(setting, source)),
     )
 
