@@ -14,7 +14,7 @@ import numpy as np
 
 from engine.data.faults import faults_of
 from engine.data.series import Series
-from engine.diagnose.effects.parameters import stopped_share
+from engine.diagnose.effects.kinds.parameters import stopped_share
 from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain

@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
-from engine.diagnose.effects.parameters import stopped_share
+from engine.diagnose.effects.kinds.parameters import stopped_share
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
 
