@@ -33,18 +33,18 @@ MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is
 class Effect:
     """One candidate cause.
 
-    ``name`` is ``kind:channel``; ``family`` where it enters (state, measurement, noise, input, time);
-    ``title`` its physical name; ``equation`` what it adds, as text; ``parameters`` its own, the size
-    first, with units; ``extend`` the extension; ``probes`` values of the other parameters at which
-    the screen looks (one row each); ``look_alikes`` kinds that leave similar traces, with what
-    tells them apart; ``one_sided`` whether only a positive size makes sense (a variance); ``held`` those
-    of its parameters that are a reference, not to be estimated; ``zero`` the one among them that is the
-    zero the effect counts from, where nothing declares or tells it: it may be estimated after all, where
-    the data can tell; ``spread`` the one that is 0 where a memory begins at rest, which is tried, too;
-    ``readings(y, size)`` what it does to a channel's finished readings (T,), where the extension only stands
-    for that (rounding as noise); ``shown`` the size that the readings themselves show, if they do: it is known
-    then, and no parameter; ``runs(t, u, own)`` what is added to the parameter of the model that it changes;
-    ``traits`` what the search must know of its kind.
+    ``name`` is ``kind:channel``; ``family`` where it enters (state, measurement, noise, input, time); ``title``
+    its physical name; ``equation`` what it adds, as text; ``parameters`` its own, the size first, with units;
+    ``extend`` the extension; ``probes`` values of the other parameters at which the screen looks (one row
+    each); ``look_alikes`` kinds that leave similar traces, with what tells them apart; ``one_sided`` whether
+    only a positive size makes sense (a variance); ``held`` those of its parameters that are a reference, not to
+    be estimated; ``zero`` the one among them that is the zero the effect counts from, where nothing declares or
+    tells it: it may be estimated after all, where the data can tell; ``spread`` the one that is 0 where a
+    memory begins at rest, which is tried, too; ``before`` the one that is what an input was until the record,
+    where it may have been off, as is tried as well; ``readings(y, size)`` what it does to a channel's finished
+    readings (T,), where the extension only stands for that (rounding as noise); ``shown`` the size that the
+    readings themselves show, if they do: it is known then, and no parameter; ``runs(t, u, own)`` what is added
+    to the parameter of the model that it changes; ``traits`` what the search must know of its kind.
     """
 
     kind: str
@@ -60,6 +60,7 @@ class Effect:
     held: tuple[str, ...] = ()
     zero: str | None = None
     spread: str | None = None
+    before: str | None = None
     readings: Callable[[Array, float], Array] | None = None
     shown: float | None = None
     runs: Callable[[Any, Any, Sequence[Any]], Any] | None = None

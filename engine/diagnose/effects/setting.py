@@ -166,6 +166,10 @@ class Setting:
         values = self._values(channel)
         return float(np.median(values)) if values.size and channel in self._afloat else 0.0
 
+    def may_be_off(self, channel: str) -> bool:
+        """Whether the channel has a zero, as a voltage has and a temperature in degC has not."""
+        return channel in self.known_zeros or channel not in self._afloat
+
     def zeros_outside(self, channel: str) -> tuple[float, ...]:
         """Where else the zero of a channel may be, if neither the model nor its declarations tell it.
 

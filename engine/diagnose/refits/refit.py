@@ -196,18 +196,26 @@ def _complete(
 
 
 def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:
-    """The refit with its memory at rest at first, or anywhere, whichever explains more."""
+    """The refit with its memory at rest at first, anywhere, or of an input that was off until the record.
+
+    Whichever explains more: many a record begins when something is switched on.
+    """
     effect, known = refit.effect, refit.fit
     if effect.spread is None or known.given_up:
         return refit
     most = next(p.default for p in effect.parameters if p.name == effect.spread)
     spread = 0.0 if known.theta[effect.spread] > 0.0 else most
-    other = known.model.theta({**known.theta.asdict(), effect.spread: spread})
+    others = [{effect.spread: spread}]
+    if effect.before is not None and known.theta[effect.before] != 0.0:
+        others.append({effect.spread: 0.0, effect.before: 0.0})
     try:
-        here = log_likelihoods(known.model, [series], np.asarray(other)[None])[0]
-        if not here > known.log_likelihood:
+        told = known.theta.asdict()
+        starts = np.array([known.model.theta({**told, **other}) for other in others])
+        here = log_likelihoods(known.model, [series], starts)
+        best = int(np.argmax(np.where(np.isfinite(here), here, -np.inf)))
+        if not here[best] > known.log_likelihood:
             return refit
-        found = quasi_ml(known.model, series, other, known.free, tolerance=TOLERANCE)
+        found = quasi_ml(known.model, series, starts[best], known.free, tolerance=TOLERANCE)
     except (EngineError, np.linalg.LinAlgError):
         return refit
     return _weighed(effect, found, null, series)

@@ -170,6 +170,7 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
         },
         held=(f"{name}_samples", f"{name}_before", spread.name),
         spread=spread.name,
+        before=f"{name}_before" if setting.may_be_off(channel) else None,
         one_sided=True,
         traits=Traits(whole=True),
     )

@@ -113,6 +113,7 @@ def _path(setting: Setting, channel: str) -> Effect | None:
         look_alikes=alike,
         traits=Traits(contains=("direct", "extra-input", "input-gain")),
         spread=spread.name,
+        before=before.name if setting.may_be_off(source) else None,
         **{**members, "held": (before.name, spread.name, *members["held"])},
     )
 

@@ -61,6 +61,7 @@ def _slow_input(setting: Setting, channel: str, name: str) -> Effect:
         held=(before.name, spread.name),
         one_sided=True,
         spread=spread.name,
+        before=before.name if setting.may_be_off(channel) else None,
     )
 
 
