@@ -10,7 +10,6 @@ import numpy as np
 
 from engine.data.joined import apart, joined, past_of
 from engine.data.series import Series
-from engine.diagnose.by_record import word_of_records
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
@@ -22,6 +21,7 @@ from engine.diagnose.free_run_fits.candidates import FAMILIES
 from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better, runs_worse
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise, with_noise_of
+from engine.diagnose.judging.by_record import word_of_records
 from engine.diagnose.judging.contradictions import particle_word
 from engine.diagnose.judging.findings import Cause, Verdict
 from engine.diagnose.judging.judgement import NAMES, has_tails

@@ -6,7 +6,7 @@ import pytest
 import engine
 from engine.data.joined import together
 from engine.data.series import Series
-from engine.diagnose.by_record import asked_for, of_gain, own_values, word_of_records
+from engine.diagnose.judging.by_record import asked_for, of_gain, own_values, word_of_records
 from engine.distributions import chi2_sf
 from engine.estimation.quasi_ml import quasi_ml
 
