@@ -37,7 +37,7 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
         fits_as_well = refits[j].score >= refits[i].score - TIE
         if not (fits_as_well and ranks[j] < ranks[i]):
             return False
-        if _repaired_elsewhere(refits[j].effect, refits[i].effect, setting):
+        if repaired_elsewhere(refits[j].effect, refits[i].effect, setting):
             return False
         return float(((terms[i] - terms[j]) ** 2).sum()) < SAME
 
@@ -45,7 +45,7 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
     return tuple(refits[i] for i in range(n) if not any(stands_for(j, i) for j in range(n)))
 
 
-def _repaired_elsewhere(one: Effect, other: Effect, setting: Setting) -> bool:
+def repaired_elsewhere(one: Effect, other: Effect, setting: Setting) -> bool:
     """Whether one of two lasting faults is a sensor's and the other the plant's or what drives it."""
     if one.traits.course is not None or other.traits.course is not None:
         return False

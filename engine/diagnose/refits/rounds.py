@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.refits.likeness import as_foreseen, distinct, rank
+from engine.diagnose.refits.likeness import as_foreseen, distinct, rank, repaired_elsewhere
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screen import Screen
 
@@ -62,10 +62,15 @@ def settle(
 def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
     """The set with the plainest of its best names in front, in any unit: of drag and of a square, say.
 
-    Of two as plain the one of a reading: it leaves the state alone, and all that comes after.
+    Of two as plain the one of a reading: it leaves the state alone, and all that comes after. Before all of
+    them a parameter that was held, unless it says that something else is to be repaired than what leads.
     """
     if not equivalent:
         return ()
+    best = equivalent[0].effect
+    for r in equivalent:
+        if r.effect.family == "parameter" and not repaired_elsewhere(r.effect, best, setting):
+            return (r, *(one for one in equivalent if one is not r))
     even = [r for r in equivalent if r.score >= equivalent[0].score - EVEN]
     outputs = setting.model.outputs
 

@@ -104,6 +104,16 @@ def test_rounding_does_not_decide_which_name_leads(ahead):
     assert names(settle(None, even, None, place("neither")).equivalent)[0] == "drag:speed"
 
 
+def test_a_parameter_that_was_held_leads_a_set_unless_another_repair_does():
+    """What the model has needs no extension; but a sensor's fault is not the plant's."""
+    plant = refits(("coulomb:speed", 40.0, 1.0), ("held:damping", 38.5, 2.0))
+    found = settle(None, plant, None, place("neither")).equivalent
+    assert names(found) == ["held:damping", "coulomb:speed"]
+    sensor = refits(("gain:reading", 40.0, 1.0), ("held:damping", 38.5, 2.0))
+    found = settle(None, sensor, None, place("neither")).equivalent
+    assert names(found) == ["gain:reading", "held:damping"]
+
+
 def test_a_wider_kind_must_be_clearly_ahead_of_what_it_contains():
     """Stribeck friction is Coulomb friction with one parameter more, even where it predicts otherwise."""
     for ahead, left in ((0.5, ["coulomb:speed"]), (2.0, ["stribeck:speed", "coulomb:speed"])):
