@@ -10,7 +10,6 @@ without it, friction takes away at most what it can, and what is needed to stop 
 less. So friction stops the motion and never reverses it, there is no chatter around v = 0 and no
 width to choose; as dt goes to 0 this is Coulomb's law. What stops is decided from v and u alone,
 since x must stay linear in the load force d: against d a standing drive creeps with d dt / M.
-When within the step a drive stops or turns, only shorter steps tell: a diagnosis takes them.
 """
 
 from __future__ import annotations
@@ -74,7 +73,6 @@ MODEL = MixedModel(
     nonlinear={"velocity": "m/s"},
     linear={"position": "m", "load": "N"},
     kinematic=("position",),
-    continuous=True,
     inputs={"drive": "V"},
     outputs={"y": "m"},
     reference=dict.fromkeys(("load", "drive"), 0.0),  # a position has none

@@ -39,9 +39,9 @@ KNOWN = {
     ),
     "emps": Known(
         "a constant force of about -3.3 N and Coulomb friction of about 21 N.",
-        "M v' = gtau u - Fv v - d, q' = v, y = q + e (`servo` in one step a reading, Fc and offset held at "
-        "0; free are M, Fv and the noises; d is its load force, a random walk). u in V, y in m. Readings are "
-        "thinned, and u averaged over the time between them.",
+        "M v' = gtau u - Fv v - d, q' = v, y = q + e (`servo` with Fc and offset held at 0; free are M, Fv and "
+        "the noises; d is its load force, a random walk). u in V, y in m. Readings are thinned, and u averaged "
+        "over the time between them.",
         f"black boxes on the test record: LSTM 74, RNN 89, OLSTM 111, FIR-MLP 121, GRU 220 mm ({BASELINES}).",
         {"pulses": (101.8, 5.05)},
     ),

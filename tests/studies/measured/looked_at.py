@@ -19,9 +19,6 @@ a drift of the reading run nearly alike on a record that repeats one movement, s
 record can part them. The test error is that of the reference. Held parameters are tried beside every leading
 effect since this row was looked at: before, effects that say the same had crowded out the held friction (6.2
 mm).
-The drive makes one step from reading to reading here, for all that is known between them is the mean of its
-input. In steps within them, as `servo` has them by itself, it holds that mean, the same set is led by the same
-two, its friction is 14.1 N, the error 5.9 mm, and all takes ten times as long.
 One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would end
 with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run better than
 the two that are named (4.2 mm). Its careful setting names one that is not there.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import gzip
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -89,9 +89,7 @@ def _emps(folder: Path) -> Data:
         "theta": {"Fc": 0.0, "offset": 0.0},
         "free": ["M", "Fv", "sigma_v", "sigma_load", "sigma_y"],
     }
-    # one step a reading: of what u does between two of them shorter steps know the mean alone
-    model = replace(get_model("servo"), continuous=False)
-    return Data(model, train, {"pulses": test}, options)
+    return Data(get_model("servo"), train, {"pulses": test}, options)
 
 
 def _silverbox(folder: Path) -> Data:
