@@ -312,3 +312,25 @@ def absorption():
             engine.Parameter("V", 20.0, "L", (1.0, 500.0)),
         ],
     )
+
+
+def dose(k=0.6, r=1e-3):
+    """A drug that leaves the blood; how far apart persons begin is a parameter."""
+    own = engine.Parameter
+    return engine.continuous(
+        name="dose",
+        drift=lambda a, u, t, theta: ([0.0], [[-theta.k]]),
+        diffusion=lambda a, u, t, theta: [[theta.q]],
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r]]),
+        initial=lambda theta: (None, [theta.c0], [[theta.s0**2]]),
+        nonlinear={},
+        linear={"conc": "mg/L"},
+        outputs={"y": "mg/L"},
+        parameters=[
+            own("k", k, "1/h", (0.01, 10.0)),
+            own("c0", 2.0, "mg/L", (0.1, 20.0)),
+            own("s0", 0.4, "mg/L", (1e-3, 5.0)),
+            own("q", 1e-4, "(mg/L)^2/h", (1e-8, 1.0)),
+            own("r", r, "(mg/L)^2", (1e-8, 1.0)),
+        ],
+    )

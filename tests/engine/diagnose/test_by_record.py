@@ -9,32 +9,11 @@ from engine.data.series import Series
 from engine.diagnose.judging.by_record import asked_for, of_gain, own_values, word_of_records
 from engine.distributions import chi2_sf
 from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.plain_models import dose
 
 HOURS = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
 FIRSTS = (1.5, 2.0, 2.7, 1.9, 2.3, 2.1)
 SAME, OWN = (0.5,) * 6, (0.5, 0.42, 0.62, 0.55, 0.4, 0.5)
-
-
-def dose():
-    """A drug that leaves the blood; how far apart persons begin is a parameter."""
-    own = engine.Parameter
-    return engine.continuous(
-        name="dose",
-        drift=lambda a, u, t, theta: ([0.0], [[-theta.k]]),
-        diffusion=lambda a, u, t, theta: [[theta.q]],
-        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r]]),
-        initial=lambda theta: (None, [theta.c0], [[theta.s0**2]]),
-        nonlinear={},
-        linear={"conc": "mg/L"},
-        outputs={"y": "mg/L"},
-        parameters=[
-            own("k", 0.5, "1/h", (0.01, 10.0)),
-            own("c0", 2.0, "mg/L", (0.1, 20.0)),
-            own("s0", 0.4, "mg/L", (1e-3, 5.0)),
-            own("q", 1e-4, "(mg/L)^2/h", (1e-8, 1.0)),
-            own("r", 4e-4, "(mg/L)^2", (1e-8, 1.0)),
-        ],
-    )
 
 
 def persons(rates, seed=0):
@@ -46,7 +25,7 @@ def persons(rates, seed=0):
 
 def fitted(rates, seed=0):
     series = together(persons(rates, seed))
-    return quasi_ml(dose(), series), series
+    return quasi_ml(dose(k=0.5, r=4e-4), series), series
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +54,7 @@ def test_one_rate_for_all_is_enough_where_there_is_one(seed):
 @pytest.mark.long
 def test_one_record_alone_is_not_asked():
     one = persons(SAME)[0]
-    assert own_values(quasi_ml(dose(), one), one) is None
+    assert own_values(quasi_ml(dose(k=0.5, r=4e-4), one), one) is None
 
 
 @pytest.mark.long
@@ -120,9 +99,11 @@ def test_what_shared_parameters_make_up_for_asks_for_nothing():
 def test_a_diagnosis_says_that_persons_differ():
     records = persons(OWN, 4)
     asked = ["drag", "variance", "parameter-drift"]
-    found = engine.diagnose(dose(), records, effects=asked, held_out=0, processes=1)
+    found = engine.diagnose(dose(k=0.5, r=4e-4), records, effects=asked, held_out=0, processes=1)
     assert found.verdict.value == "unknown"
     assert any("do not have the same k" in note for note in found.notes)
-    alike = engine.diagnose(dose(), persons(SAME, 4), effects=asked, held_out=0, processes=1)
+    alike = engine.diagnose(
+        dose(k=0.5, r=4e-4), persons(SAME, 4), effects=asked, held_out=0, processes=1
+    )
     assert alike.verdict.value == "nothing"
     assert not any("do not have the same" in note for note in alike.notes)

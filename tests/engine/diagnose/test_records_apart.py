@@ -6,33 +6,12 @@ import pytest
 import engine
 from engine.data.series import Series
 from engine.diagnose.first_states import begins_as_expected, begins_as_said
+from tests.engine.plain_models import dose
 
 START, HOURS = 2.0, np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
 
 
 pytestmark = pytest.mark.long
-
-
-def dose():
-    """A drug that leaves the blood; how far apart persons begin is a parameter."""
-    own = engine.Parameter
-    return engine.continuous(
-        name="dose",
-        drift=lambda a, u, t, theta: ([0.0], [[-theta.k]]),
-        diffusion=lambda a, u, t, theta: [[theta.q]],
-        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r]]),
-        initial=lambda theta: (None, [theta.c0], [[theta.s0**2]]),
-        nonlinear={},
-        linear={"conc": "mg/L"},
-        outputs={"y": "mg/L"},
-        parameters=[
-            own("k", 0.6, "1/h", (0.01, 10.0)),
-            own("c0", START, "mg/L", (0.1, 20.0)),
-            own("s0", 0.4, "mg/L", (1e-3, 5.0)),
-            own("q", 1e-4, "(mg/L)^2/h", (1e-8, 1.0)),
-            own("r", 1e-3, "(mg/L)^2", (1e-8, 1.0)),
-        ],
-    )
 
 
 def person(first, seed):
