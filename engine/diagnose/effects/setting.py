@@ -17,8 +17,17 @@ from engine.data.clock import rounding_of
 from engine.data.joined import anew, apart, overlapping, starts_of
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
-from engine.diagnose.effects.rates import Points, Rate, beside, feeding, guessed_points, rates
+from engine.diagnose.effects.rates import (
+    Points,
+    Rate,
+    beside,
+    feeding,
+    guessed_points,
+    moved_by,
+    rates,
+)
 from engine.diagnose.effects.zeros import without_zero
+from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import SECOND, frequency_in, product
@@ -387,6 +396,19 @@ class Setting:
         points, theta = self.points(self.model)
         feeds, _ = feeding(self.model, beside(self.model, theta), points)
         return self.feeds[0] | feeds
+
+    @cached_property
+    def steering(self) -> tuple[str, ...]:
+        """Parameters on which more than noise depends, or beside whose values the model cannot be used."""
+        points, theta = self.points(self.model)
+
+        def moves(parameter: str) -> bool:
+            try:
+                return any(moved_by(self.model, theta, points, parameter))
+            except (EngineError, np.linalg.LinAlgError):
+                return True
+
+        return tuple(filter(moves, self.model.parameter_names))
 
     @cached_property
     def moved(self) -> tuple[str, ...]:

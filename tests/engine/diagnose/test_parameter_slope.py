@@ -7,6 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
+from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.parameters import stopped_share
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
@@ -162,3 +163,14 @@ def test_a_slope_is_asked_of_what_moves_means_and_of_channels_that_are_left_out(
 def test_what_is_no_input_onto_a_parameter_is_refused(channel):
     with pytest.raises(engine.OptionError, match="cannot enter"):
         extend(PANEL, [f"parameter-slope:{channel}"])
+
+
+@pytest.mark.parametrize("outside", ["degC", "K", "degF"])
+def test_what_is_odd_does_not_depend_on_how_a_temperature_is_counted(outside):
+    model = replace(PANEL, inputs={"sun": "kW/m^2", "ambient": outside})
+    setting = setting_for(model, record(0.0), np.asarray(model.theta()))
+    odd = {source: only_drives(setting, source) for source in model.inputs}
+    assert odd == {"sun": True, "ambient": False}
+    unknown = replace(PANEL, inputs={"sun": "1", "ambient": "1"})
+    setting = setting_for(unknown, record(0.0), np.asarray(unknown.theta()))
+    assert not any(only_drives(setting, source) for source in unknown.inputs)  # nothing tells

@@ -93,6 +93,7 @@ def _bend(
             "step": "comes at once",
             "harmonic": "comes again",
         },
+        runs=(lambda t, u, own: course(t, own)) if of_parameter else None,
         traits=Traits(Course.BEND if of_parameter else None, of_parameter=of_parameter, bends=True),
     )
 

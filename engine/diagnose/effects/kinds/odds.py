@@ -6,7 +6,7 @@ A unit that nobody knows tells nothing.
 from __future__ import annotations
 
 from engine.diagnose.effects.setting import Setting
-from engine.units import SECOND, meanings
+from engine.units import SECOND, meanings, same_kind
 
 TEMPERATURES = ({"K": 1.0}, {"degC": 1.0}, {"degF": 1.0})
 
@@ -20,16 +20,28 @@ def nothing_rubs(setting: Setting, state: str) -> bool:
 
 def nothing_spills(setting: Setting, state: str) -> bool:
     """Whether a state is a temperature, of which no store is full."""
-    kinds = [kind for _, kind in meanings(setting.unit(state))]
-    return bool(kinds) and all(kind in TEMPERATURES for kind in kinds)
+    return _is_temperature(setting.unit(state))
 
 
 def only_drives(setting: Setting, source: str) -> bool:
     """Whether an input is what drives the system, and no condition on which a parameter may depend.
 
-    A wind that the model makes no other use of is one, and a temperature beside one that is a state. What a
-    friction has to do with the voltage of its drive is that both are large at once.
+    A wind that the model makes no other use of is one, and a temperature beside one that is a state, however it
+    is counted. What a friction has to do with the voltage of its drive is that both are large at once.
     """
-    surroundings = setting.model.inputs[source] in setting.states.values()
+    unit = setting.unit(source)
+    if not any(kind for _, kind in meanings(unit)):
+        return False
+    if any(_measure_the_same(unit, own) for own in setting.states.values()):
+        return False
     _, moved = setting.feeds
-    return not surroundings and bool(moved[:, list(setting.model.inputs).index(source)].any())
+    return bool(moved[:, list(setting.model.inputs).index(source)].any())
+
+
+def _measure_the_same(one: str, other: str) -> bool:
+    return same_kind(one, other) or (_is_temperature(one) and _is_temperature(other))
+
+
+def _is_temperature(unit: str) -> bool:
+    kinds = [kind for _, kind in meanings(unit)]
+    return bool(kinds) and all(kind in TEMPERATURES for kind in kinds)

@@ -12,10 +12,8 @@ from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.time import from_when, lasting, over_the_record, since
-from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Course, Traits
-from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel, Parameter, Theta
 from engine.units import product
 
@@ -163,18 +161,8 @@ def _slope(setting: Setting, channel: str) -> Effect | None:
 
 def _each_slope(setting: Setting) -> Iterator[str]:
     """Each parameter but those of noise with each input, also with one that the model leaves out."""
-    for target in setting.model.parameter_names if setting.model.nu else ():
-        if _moves_means(setting, target):
-            yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
-
-
-def _moves_means(setting: Setting, parameter: str) -> bool:
-    """Whether more than noise depends on a parameter; also where the model cannot be used beside its value."""
-    points, theta = setting.points(setting.model)
-    try:
-        return any(moved_by(setting.model, theta, points, parameter))
-    except (EngineError, np.linalg.LinAlgError):
-        return True
+    for target in setting.steering if setting.model.nu else ():
+        yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
 
 
 KINDS: list[Kind] = [
