@@ -21,13 +21,10 @@ from engine.words import enumerated
 
 def widened(judged: Judged, beside: OverHorizon | None) -> Judged:
     """The answer with those beside its first name that neither the likelihood nor the horizon rules out."""
+    if judged.verdict not in NAMES or judged.free_run.decides or beside is None:
+        return judged
     found = judged.search.rounds[0]
-    if (
-        judged.verdict not in NAMES
-        or judged.free_run.decides
-        or beside is None
-        or not found.equivalent
-    ):
+    if not found.equivalent:
         return judged
     first, near = found.refits[0], _not_ruled_out(found)
     more = beside.as_good([one.effect.name for one in near], first.effect.name)
