@@ -5,11 +5,11 @@
 Input, offset and Coulomb friction are held over the step; the linear core in x = (v, q, d), with
 its noise, is then discretised exactly for whatever dt is (van Loan), so Q_az != 0.
 
-Coulomb friction within a step is a projection: with g the velocity that the step would end at
-without it, friction takes away at most what it can, and what is needed to stop where that is
-less. So friction stops the motion and never reverses it, there is no chatter around v = 0 and no
-width to choose; as dt goes to 0 this is Coulomb's law. What stops is decided from v and u alone,
-since x must stay linear in the load force d: against d a standing drive creeps with d dt / M.
+Under a constant force the motion has a closed form until the drive comes to rest; from there on friction
+holds it, or it goes the other way. So one step per sample is exact, however often the drive turns: friction
+that acted on the speed before the step (or after it) is wrong by an error of first order wherever it stops.
+What stops is decided from v and u alone, since x must stay linear in the load force d: against d a
+standing drive creeps with d dt / M.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ C = np.array([[1.0, 0.0]])
 START = Gaussian([0.0], [[0.01**2]])  # m/s: records begin near rest
 Z1 = np.zeros(2)  # the load force departs from the offset, so it starts at zero exactly
 P1 = np.diag([1.0, 0.0])  # m^2, N^2
+SLOW = 1e-4  # of rate times time: below it series, which do not cancel
 
 
 def _build(values: Array) -> tuple[Array, Array, Array]:
@@ -40,16 +41,40 @@ def _build(values: Array) -> tuple[Array, Array, Array]:
 CORE = LinearCore(_build)
 
 
+def motion(v: Any, acceleration: Any, rate: Any, time: Any) -> tuple[Any, Any]:
+    """Speed after, and way within, ``time`` of v' = acceleration - rate v; without damping a parabola."""
+    x = rate * time
+    slow = np.abs(x) < SLOW
+    one = np.where(slow, 1.0 - x / 2.0 + x**2 / 6.0, -np.expm1(-x) / np.where(slow, 1.0, x))
+    two = np.where(slow, 0.5 - x / 6.0 + x**2 / 24.0, (1.0 - one) / np.where(slow, 1.0, x))
+    lost = time * one
+    return v + (acceleration - rate * v) * lost, v * lost + acceleration * time**2 * two
+
+
+def standstill(v: Any, acceleration: Any, rate: Any) -> Any:
+    """The time after which v' = acceleration - rate v, which slows v, has brought it to rest."""
+    x = -v * rate / acceleration
+    slow = x < SLOW
+    share = np.where(slow, 1.0 - x / 2.0 + x**2 / 3.0, np.log1p(x) / np.where(slow, 1.0, x))
+    return -v / acceleration * share
+
+
 def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-    """Over one step: g = phi v + psi F / M, F = gtau u - offset, then friction, then d."""
+    """Over one step: against friction until v = 0, then from rest under what is left of the force; then d."""
     M, Fv, Fc, offset, gtau, sigma_v, sigma_load, _ = theta
-    core, drive, Q = CORE(M, Fv, sigma_v, sigma_load, dt)
-    phi, psi = core[..., 0, 0], core[..., 1, 0]
-    push, shift = drive[..., 0, 0], drive[..., 1, 0]
-    v = a[:, 0]
-    force = gtau * u[0] - offset
-    friction = np.clip((phi * v + push * force) / push, -Fc, Fc)
-    f = [phi * v + push * (force - friction), psi * v + shift * (force - friction), 0.0]
+    core, _, Q = CORE(M, Fv, sigma_v, sigma_load, dt)
+    v, force, rate = a[:, 0], gtau * u[0] - offset, Fv / M
+    direction = np.where(v == 0.0, np.sign(force), np.sign(v))
+    slowed = (force - Fc * direction) / M
+    speed, way = motion(v, slowed, rate, dt)
+    rests = direction * speed < 0.0
+    until = np.where(
+        rests, standstill(np.where(rests, v, 0.0), np.where(rests, slowed, 1.0), rate), dt
+    )
+    _, before = motion(v, slowed, rate, until)
+    left = np.sign(force) * np.maximum(np.abs(force) - Fc, 0.0) / M
+    regained, after = motion(0.0, left, rate, dt - until)
+    f = [np.where(rests, regained, speed), np.where(rests, before + after, way), 0.0]
     return f, core[..., 1:], Q
 
 
@@ -73,6 +98,7 @@ MODEL = MixedModel(
     nonlinear={"velocity": "m/s"},
     linear={"position": "m", "load": "N"},
     kinematic=("position",),
+    continuous=True,
     inputs={"drive": "V"},
     outputs={"y": "m"},
     reference=dict.fromkeys(("load", "drive"), 0.0),  # a position has none

@@ -21,8 +21,8 @@ from engine.diagnose.free_run_fits.columns import CANNOT, columns
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_effects
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run_fits.linear import Linear, Share
-from engine.diagnose.judging.contradictions import LEAST_ERRORS
 from engine.diagnose.refits.likeness import as_foreseen, rank
+from engine.diagnose.refits.refit import LEAST_ERRORS
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array, Theta

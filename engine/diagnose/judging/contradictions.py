@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refit import LEAST_ERRORS, Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.estimation.quasi_ml import QuasiFit
@@ -18,7 +18,6 @@ from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.ties import held_as_open, is_open
 from engine.words import enumerated, number, with_unit
 
-LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
 PARTICLES = (500, 2000)  # for the particle filter's word on a gain; the second where it contradicts
 REPEATS = 4
 MARGIN = 3.0  # nats, beyond the particle filter's own error, that two filters may differ by
@@ -47,9 +46,8 @@ def as_open(found: Sequence[Round], base: QuasiFit) -> list[str]:
     may, out = _open(base), []
     for refit in (r.refits[0] for r in found):
         known = dict(zip(refit.fit.free, refit.fit.standard_errors.tolist(), strict=True))
-        sure = abs(refit.size) >= LEAST_ERRORS * refit.standard_error
         others = [n for n in may if not abs(refit.fit.theta[n]) >= LEAST_ERRORS * known[n]]
-        if others and not sure and not _undetermined(refit, may):
+        if others and not refit.is_sure and not _undetermined(refit, may):
             out.append(
                 f"The size of {refit.effect.name} is as little known as {enumerated(others)}: where one is "
                 "known, hold it there (theta=, free=)."

@@ -26,6 +26,7 @@ HOPE = 10.0  # a large effect is far away, where a search gains many times what 
 Way = Callable[[], Visited]  # called where it is needed
 
 UNLIKELIER = 4.0  # of the score, that an odd effect is behind beforehand: one to seven
+LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
 HOPELESS = 10.0  # of the score behind the best refit, from which another one is left for later
 
 
@@ -50,6 +51,11 @@ class Refit:
     def standard_error(self) -> float:
         """Its standard error."""
         return float(self.fit.standard_errors[self.fit.free.index(self.effect.size.name)])
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the size may not as well be zero."""
+        return abs(self.size) >= LEAST_ERRORS * self.standard_error
 
 
 def cost(effect: Effect, series: Series) -> float:

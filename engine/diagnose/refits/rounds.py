@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.likeness import as_foreseen, distinct, rank, repaired_elsewhere
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refit import Refit, further_parameters
 from engine.diagnose.screening.screen import Screen
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
@@ -64,6 +64,7 @@ def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
 
     Of two as plain the one of a reading: it leaves the state alone, and all that comes after. Before all of
     them a parameter that was held, unless it says that something else is to be repaired than what leads.
+    A size that may as well be zero leaves the lead to an effect with fewer parameters whose size may not.
     """
     if not equivalent:
         return ()
@@ -78,4 +79,7 @@ def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
         return rank((r.effect,), setting), r.effect.channel not in outputs, r.effect.name
 
     first = min(even, key=order)
+    if not first.is_sure:  # a bend from far away, say, where all that is seen of it is a constant force
+        fewer = [r for r in equivalent if further_parameters(r.effect) < further_parameters(first.effect)]
+        first = next((r for r in fewer if r.is_sure), first)
     return (first, *(r for r in equivalent if r is not first))
