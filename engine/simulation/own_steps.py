@@ -21,7 +21,7 @@ from engine.words import enumerated, with_unit
 
 MOVED = 2.0  # standard errors
 SHOWN = 3  # parameters that are told, those first that move most
-LOOKED_AT = 32  # rows of a record
+LOOKED_AT = 1000  # rows: a drive with friction may turn in one of a hundred
 AS_WELL = 1.04  # times the sum of squares
 EVALUATIONS = 12  # of runs with two half-steps
 

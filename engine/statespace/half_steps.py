@@ -23,10 +23,11 @@ def step(model: MixedModel, theta: Array, x: Array, u: Any, t: Any, dt: Any) -> 
         return np.asarray(f + np.einsum("...ij,...j->...i", A, x[:, na:]))
 
 
-def two_halves(base: MixedModel, a: Array, u: Any, t: Any, dt: Any, record: Any) -> Array:
-    """Means (M, nx) after two half-steps from a (M, nx), of a model without linear states."""
-    half = base.transition(a, u, t, 0.5 * dt, record)[0]
-    return base.transition(half, u, t + 0.5 * dt, 0.5 * dt, record)[0]
+def in_parts(base: MixedModel, a: Array, u: Any, t: Any, dt: Any, record: Any, n: int = 2) -> Array:
+    """Means (M, nx) after n equal steps in one from a (M, nx), of a model without linear states."""
+    for k in range(n):
+        a = base.transition(a, u, t + k / n * dt, dt / n, record)[0]
+    return a
 
 
 def in_half_steps(model: MixedModel) -> MixedModel:
@@ -35,7 +36,7 @@ def in_half_steps(model: MixedModel) -> MixedModel:
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         _, A, Q = base.transition(a, u, t, dt, theta)
-        return two_halves(base, a, u, t, dt, theta), A, Q
+        return in_parts(base, a, u, t, dt, theta), A, Q
 
     return replace(base, dynamics=dynamics)
 
@@ -46,15 +47,12 @@ def halving_changes(
     """Whether dt is a real time step, and halving it changes something; at rows x (n, nx), u (n, nu), t, dt."""
     # states that only scale noise have no memory
     others = ~np.isin([*model.nonlinear, *model.linear], model.scale_states)
-    moves, short, halves = [], [], []
-    for own, at, when, long in zip(x, u, t, dt, strict=True):
-        here = own[None]
-        whole = step(model, theta, here, at, when, long)
-        half = step(model, theta, here, at, when, 0.5 * long)
-        moves.append(whole - here)
-        halves.append(step(model, theta, half, at, when + 0.5 * long, 0.5 * long) - whole)
-        short.append(step(model, theta, here, at, when, SHORTER * long) - here)
-    whole, little, change = (
-        np.sqrt(np.mean(np.square(x), axis=0))[0, others] for x in (moves, short, halves)
+    whole = step(model, theta, x, u.T, t, dt)
+    half = step(model, theta, x, u.T, t, 0.5 * dt)
+    twice = step(model, theta, half, u.T, t + 0.5 * dt, 0.5 * dt)
+    short = step(model, theta, x, u.T, t, SHORTER * dt)
+    moved, little, change = (
+        np.sqrt(np.mean(np.square(each), axis=0))[others]
+        for each in (whole - x, short - x, twice - whole)
     )
-    return bool((little <= HARDLY * whole).all() and (change > ROUNDING * whole).any())
+    return bool((little <= HARDLY * moved).all() and (change > ROUNDING * moved).any())

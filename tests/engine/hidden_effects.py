@@ -158,7 +158,7 @@ CASES = {
     "parameter-slope": ("force->damping", {"parameter_slope_force__damping": 0.5}),
     "parameter-bend": ("damping", {"parameter_bend_damping": 0.4}),
     "bend": ("reading", {"bend_reading": 0.4}),
-    "time-step": ("dt", {"time_step_dt": 1.7}),
+    "time-step": ("dt", {"time_step_dt": 1.3}),
     "held": ("load", {"held_load": 0.4}),
     "start": ("speed", {"start_speed": 2.0}),
 }

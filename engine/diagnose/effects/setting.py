@@ -349,14 +349,17 @@ class Setting:
 
     # ---- structure ----------------------------------------------------------------------------
 
-    def points(self, model: MixedModel) -> tuple[Points, Array]:
-        """Where to evaluate a model (this one, or one with more states), and the base's theta."""
+    def points(self, model: MixedModel, most: int = PROBED) -> tuple[Points, Array]:
+        """Where to evaluate a model (this one, or one with more states), and the base's theta.
+
+        At most so many rows of a record, evenly over it.
+        """
         own = self.record
         theta = np.asarray(model.theta())
         guess = guessed_points(model, self.dt)
         if own is None:
             return guess, theta
-        rows = np.unique(np.linspace(0, len(own.t) - 1, PROBED).astype(int))
+        rows = np.unique(np.linspace(0, len(own.t) - 1, most).astype(int))
         n = min(len(own.theta), len(theta))
         theta[:n] = own.theta[:n]
 

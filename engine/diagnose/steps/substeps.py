@@ -19,6 +19,7 @@ from engine.data.clock import rounding_of
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.kinds.time_step import KIND as TIME_STEP
 from engine.diagnose.effects.rates import Points
 from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
 from engine.diagnose.records import Records
@@ -106,7 +107,10 @@ def undeclared(model: MixedModel, series: Series) -> str:
     """What to declare of a model of steps that are those of a differential equation; else ""."""
     theta = np.asarray(model.theta())
     try:
-        points = sampled(setting_for(model, series, theta))
+        setting = setting_for(model, series, theta)
+        if all_effects(setting, [TIME_STEP]):
+            return ""  # where a drive comes to rest, say
+        points = sampled(setting)
         mean, cov = _halving(model, theta, points, 1.0)
         moved = [
             step(model, theta, x[None], u, t, dt)[0] - x

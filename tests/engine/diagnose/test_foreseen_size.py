@@ -60,6 +60,6 @@ def test_what_the_steps_of_a_model_get_wrong_is_named_so():
     assert found.verdict.value == "named"
     (cause,) = found.causes
     assert cause.effect == "time-step:dt"
-    assert cause.size == pytest.approx(2.0, abs=0.4)  # of a scheme of first order
+    assert cause.size == pytest.approx(4 / 3, abs=0.2)  # of a scheme of first order
     rival = next(r for r in found.search.rounds[0].refits if r.effect.kind == "extra-input")
     assert rival.gain > cause.gain - 2.0

@@ -1,8 +1,9 @@
-"""The model's own time step as a cause: two half-steps in place of one.
+"""The model's own time step as a cause: four quarter-steps in place of one.
 
-With F_h the mean of the model's step over h, F_(h/2) o F_(h/2) is the same step with an error about half
-as large for a scheme of first order, and F_h + 2 (F_(h/2) o F_(h/2) - F_h) its limit up to second order
-(Richardson 1911). A size between one and two says that the model is right and its step too long.
+With F_h the mean of the model's step over h, G_h that of four over h/4 has a quarter of its error, for a
+scheme of first order, and F_h + 4/3 (G_h - F_h) is the limit up to second order (Richardson 1911). A size
+between one and 4/3 says that the model is right and its step too long. Two half-steps would do where a step is
+smooth; where a drive comes to rest within it they leave so much that another friction explains more.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from engine.diagnose.effects.channels import Kind, at_any
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.half_steps import halving_changes, two_halves
+from engine.statespace.half_steps import halving_changes, in_parts
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 
 KIND, CHANNEL = "time-step", "dt"
-SIZES = (0.8, 2.4)  # 2 of a scheme of first order, 4/3 of second order, 16/15 of fourth
+ROWS = 1000  # at which halving is looked at: a drive with friction may turn in one of a hundred
+PARTS = 4
+SIZES = (0.8, 1.6)  # 4/3 of a scheme of first order, 16/15 of second, 256/255 of fourth
 
 
 def _time_step(setting: Setting, channel: str, name: str) -> Effect:
@@ -32,8 +35,8 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
             f, A, Q = base.transition(a, u, t, dt, record)
-            twice = two_halves(base, a, u, t, dt, record)
-            return f + np.reshape(own[0], (-1, 1)) * (twice - f), A, Q
+            finer = in_parts(base, a, u, t, dt, record, PARTS)
+            return f + np.reshape(own[0], (-1, 1)) * (finer - f), A, Q
 
         return on_base(base, split, dynamics=dynamics)
 
@@ -42,8 +45,12 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
         channel,
         "state",
         "time step of the model that is too long",
-        f"F_dt(x) + {name} (F_dt/2(F_dt/2(x)) - F_dt(x))",
-        (Parameter(name, 0.0, "1", (0.0, 4.0), "1: two half-steps, 2: the limit of short ones"),),
+        f"F_dt(x) + {name} (G_dt(x) - F_dt(x)), G four steps of dt/4",
+        (
+            Parameter(
+                name, 0.0, "1", (0.0, 4.0), "1: four quarter-steps, 4/3: the limit of short ones"
+            ),
+        ),
         extend,
         look_alikes={
             "pole": "remembers",
@@ -57,7 +64,7 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
 
 def _where(setting: Setting) -> Iterator[str]:
     """Where dt is a real time step, and halving it changes something."""
-    points, theta = setting.points(setting.model)
+    points, theta = setting.points(setting.model, ROWS)
     dt = points.dt / setting.substeps
     if halving_changes(setting.model, theta, points.x, points.u, points.t, dt):
         yield CHANNEL
