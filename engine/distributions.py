@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
+import scipy.special
 from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from engine.arrays import Array
@@ -17,7 +18,10 @@ Values: TypeAlias = float | Array
 
 def chi2_sf(value: Values, degrees: Values) -> Array:
     """P(chi2(degrees) > value)."""
-    return np.asarray(chdtrc(degrees, np.maximum(value, 0.0)), dtype=float)
+    value = np.maximum(value, 0.0)
+    if np.ndim(degrees) == 0 and degrees == 1:  # the usual one, twenty times as fast
+        return np.asarray(scipy.special.erfc(np.sqrt(0.5 * value)), dtype=float)
+    return np.asarray(chdtrc(degrees, value), dtype=float)
 
 
 def chi2_isf(p: Values, degrees: Values) -> Array:

@@ -1,5 +1,7 @@
 """The engine's own distributions are those of scipy.stats, which takes too long to load."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -13,9 +15,14 @@ CHANCES = np.array([0.0, 1e-300, 1e-12, 0.05, 0.5, 0.975, 1.0, np.nan])
 @pytest.mark.parametrize("degrees", [1, 2, 7, 300])
 def test_chi2(degrees):
     known = stats.chi2(degrees)
-    np.testing.assert_array_equal(own.chi2_sf(VALUES, degrees), known.sf(VALUES))
+    np.testing.assert_allclose(own.chi2_sf(VALUES, degrees), known.sf(VALUES), rtol=1e-12)
     np.testing.assert_array_equal(own.chi2_isf(CHANCES, degrees), known.isf(CHANCES))
     np.testing.assert_array_equal(own.chi2_quantile(CHANCES, degrees), known.ppf(CHANCES))
+
+
+def test_the_tail_of_one_degree_of_freedom_is_a_normal_ones():
+    assert own.chi2_sf(2.0, 1) == pytest.approx(math.erfc(1.0), rel=1e-15, abs=0.0)
+    assert own.chi2_sf(VALUES[:, None], np.array([1, 2])).shape == (len(VALUES), 2)
 
 
 def test_normal():
