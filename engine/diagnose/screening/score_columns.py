@@ -37,6 +37,7 @@ POWERS = (0.5, 2.0)  # of a size, to which predictions answer
 _KEPT: WeakKeyDictionary[MomentPath, tuple[ref[Series], tuple[Array, Array, Array, Array]]] = (
     WeakKeyDictionary()
 )
+_SCATTERS: WeakKeyDictionary[MomentPath, list[Array]] = WeakKeyDictionary()
 
 UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
 
@@ -171,7 +172,9 @@ def _slopes(
 
     By a step that changes predictions by a small share of their own scatter, whatever the units are.
     """
-    sizes = _scatter(path)
+    if path not in _SCATTERS:  # the same for all effects
+        _SCATTERS[path] = _scatter(path)
+    sizes = _SCATTERS[path]
     lower, upper = extended.lower[k], extended.upper[k]
     step = 1e-5 * (upper if np.isfinite(upper) and upper > 0.0 else 1.0)
     for _ in range(TRIALS):

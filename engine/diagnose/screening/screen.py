@@ -297,15 +297,18 @@ def make_test(
         s = np.array([c.s for _, c in columns])
         v = np.array([c.v for _, c in columns])
         with np.errstate(over="ignore", invalid="ignore"):
-            before = (v**2).sum(axis=1)
+            before = _squares(v)
             s, v = projection(s, v)
-            lost = ~np.isfinite(before + (v**2).sum(axis=1) + s.sum(axis=1) ** 2)
-        s[lost], v[lost], before[lost] = 0.0, 0.0, 0.0  # a filter that runs away shows nothing
-        rho = np.divide((v**2).sum(axis=1), before, out=np.zeros(len(before)), where=before > 0.0)
-        v[rho <= UNTESTABLE] = 0.0
+            norm = _squares(v)
+            lost = ~np.isfinite(before + norm + s.sum(axis=1) ** 2)
+        for each in (s, v, before, norm):
+            each[lost] = 0.0  # a filter that runs away shows nothing
+        rho = np.divide(norm, before, out=np.zeros(len(before)), where=before > 0.0)
+        nothing = rho <= UNTESTABLE
+        v[nothing], norm[nothing] = 0.0, 0.0
         if degrees > 1:
             s, v = _decorrelate(s, v, degrees)
-        norm = (v**2).sum(axis=1)
+            norm = _squares(v)
         parts.append((s, norm, rho))
         at += [point for point, _ in columns[::degrees]]
         use = norm > 0.0
@@ -318,6 +321,11 @@ def make_test(
         return None
     s, norm, rho = (np.concatenate(x) for x in zip(*parts, strict=True))
     return Test(effect, s, norm, rho, tuple(at), vectors, degrees)
+
+
+def _squares(rows: Array) -> Array:
+    """|v|^2 (n,) of rows (n, .)."""
+    return np.asarray(np.einsum("ij,ij->i", rows, rows))
 
 
 def _decorrelate(s: Array, v: Array, degrees: int) -> tuple[Array, Array]:

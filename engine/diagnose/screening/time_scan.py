@@ -58,9 +58,10 @@ def family_test(
     def chunks(driver: Driver, at: Sequence[tuple[float, ...]], gate: Array) -> Iterator[Chunk]:
         for start in range(0, gate.shape[1], CHUNK):
             G = shown(driver, gate[:, start : start + CHUNK])
-            s = (G * z).sum(axis=2)
-            v = np.zeros((len(G), T * ny * (1 + ny)))
-            v[:, : T * ny] = -G.reshape(len(v), -1)
+            s = np.einsum("ktp,tp->kt", G, z)
+            v = np.zeros((len(G), T * (1 + ny), ny))
+            np.negative(G, out=v[:, :T])
+            v = v.reshape(len(G), -1)
             yield [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
 
     if effect.traits.course is Course.EPISODE:

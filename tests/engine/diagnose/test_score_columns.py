@@ -77,3 +77,15 @@ def test_matrices_are_of_one_kind_whoever_made_them(given, writeable):
     assert rows.flags.writeable
     whole = np.broadcast_to(matrix, (4, 3, 2, 2)).reshape(12, 2, 2)
     np.testing.assert_array_equal(np.broadcast_to(rows, whole.shape), whole)
+
+
+def test_what_all_columns_share_is_found_once(monkeypatch):
+    model = get_model("mixed-4")
+    theta = np.asarray(model.theta())
+    series = simulate(model, None, 100, np.random.default_rng(4)).series
+    path, asked = moment_path(model, theta, series), []
+    scatter = score_columns._scatter
+    monkeypatch.setattr(score_columns, "_scatter", lambda path: asked.append(path) or scatter(path))
+    for effect in all_effects(Setting(model), ["bias", "offset"]):
+        assert effect_columns(effect, model, theta, series, path)
+    assert asked == [path]
