@@ -131,8 +131,12 @@ def make_effect(name: str, setting: Setting) -> Effect:
 
 
 def _made(kind: str, setting: Setting, channel: str) -> Effect | None:
-    effect = _makers[kind][0](setting, channel)
-    return effect and worded_for(setting.model, effect)
+    key = _makers[kind][0], channel
+    if key not in setting.made:  # the steps of a search ask for the same ones
+        effect = key[0](setting, channel)
+        setting.made[key] = effect and worded_for(setting.model, effect)
+    made: Effect | None = setting.made[key]
+    return made
 
 
 def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Effect]:

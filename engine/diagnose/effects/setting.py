@@ -92,6 +92,11 @@ class Setting:
     starts: tuple[float, ...] = ()
     found: tuple[str, ...] = ()
 
+    @cached_property
+    def made(self) -> dict[Any, Any]:
+        """The effects made in this setting so far, by maker and channel."""
+        return {}
+
     # ---- sizes --------------------------------------------------------------------------------
 
     def limits(self, low: float, high: float, least: float = POSITIVE) -> tuple[float, float]:

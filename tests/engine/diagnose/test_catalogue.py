@@ -10,6 +10,7 @@ import pytest
 import engine
 from engine.data.lattice import lattice_step
 from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
+from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.catalogue import shadowed
 from engine.diagnose.effects.free_function import free_function
 from engine.diagnose.effects.hide import hide
@@ -474,3 +475,12 @@ def test_what_is_not_looked_for_as_a_parameter_has_its_name_is_said():
     series = engine.Series(y=1000.0 + rng.normal(0.0, 120.0, (60, 1)))
     found = diagnose(model, series, free=level.parameter_names, effects=["step", "bias"])
     assert any(f"Not looked for: step:{output}," in note for note in found.notes)
+
+
+def test_effects_are_made_once_in_a_setting_and_anew_when_their_kind_is_replaced(monkeypatch):
+    setting = Setting(engine.get_model("mixed-4"))
+    one, other = (all_effects(setting, ["bias"]) for _ in range(2))
+    assert [e is f for e, f in zip(one, other, strict=True)] == [True, True]
+    maker, channels = catalogue._makers["bias"]
+    monkeypatch.setitem(catalogue._makers, "bias", (lambda *given: maker(*given), channels))
+    assert all_effects(setting, ["bias"])[0] is not one[0]
