@@ -335,8 +335,10 @@ def _used(
 ) -> NDArray[np.bool_]:
     """Which parameters a call needs, or are ``known`` to: tried ``first`` on a part, ``then`` on all."""
     used = known.copy()
-    for k in np.flatnonzero(~known):
-        used[k] = _fails(first, model, theta, [k])
+    asked = np.flatnonzero(~known)
+    if asked.size and _fails(first, model, theta, asked):  # else it needs none of them
+        for k in asked:
+            used[k] = _fails(first, model, theta, [k])
     unused = np.flatnonzero(~used)
     if unused.size and _fails(then, model, theta, unused):
         used[unused] = [_fails(then, model, theta, [k]) for k in unused]

@@ -88,7 +88,7 @@ def differ(
 
 def _close(x: Array, y: Array, allowed: Array) -> bool:
     near = np.abs(x - y) <= allowed
-    return bool(np.all(near | (x == y) | (np.isnan(x) & np.isnan(y))))
+    return bool(near.all() or np.all(near | (x == y) | (np.isnan(x) & np.isnan(y))))
 
 
 def joined(parts: list[tuple[Indices, Result]], M: int) -> Result:

@@ -510,6 +510,21 @@ def test_a_parameter_that_is_used_at_few_points_only_is_not_overlooked():
     np.testing.assert_array_equal(dependence(model, model.theta(), both)[1], [True, False])
 
 
+def test_functions_that_use_no_parameter_are_asked_for_all_of_them_at_once():
+    model, calls = engine.get_model("mixed-4"), []
+
+    def measurement(a, u, t, theta):
+        calls.append(len(a))
+        return model.measurement(a, u, t, theta)
+
+    counted = replace(model, measurement=measurement)
+    points = Points(counted, Series(np.zeros((50, 2))), np.zeros((50, 4, 1)))
+    assert not dependence(counted, counted.theta(), [points])[2].any()
+    calls.clear()
+    dependence(counted, counted.theta(), [points])
+    assert len(calls) == 2  # at a few points, then at all
+
+
 def test_a_warm_start_that_cannot_be_looked_for_says_so(monkeypatch):
     model = user_model()
     series = drawn(model)
