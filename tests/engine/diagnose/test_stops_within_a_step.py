@@ -1,4 +1,4 @@
-"""A user's drive whose friction acts at the end of a step, on a record of one that stops and turns at any time."""
+"""A drive of a user whose friction acts over a whole step, on a record of one that stops at any time."""
 
 import numpy as np
 import pytest

@@ -18,9 +18,9 @@ them Coulomb or Stribeck friction as an effect, a dead zone, a saturation, a pro
 a drift of the reading run nearly alike on a record that repeats one movement, so it is a set, and only another
 record can part them.
 The test error is not that of the reference, 5.05 mm. It was (5.01) while friction acted on the whole of a step
-in which the drive stops or turns; since it is exact there, steps of any length give the same fit and 5.91. Least
-squares on all 24,841 samples at 1 kHz gives 5.79, so this is what these four parameters are worth: what is below
-is luck of the steps (one sample in 20 gave 7.9 then).
+in which the drive stops or turns. Since it is exact there, steps of any length give the same fit, and 5.91.
+Least squares on all 24,841 samples at 1 kHz gives 5.79, so this is what these four parameters are worth. What
+is below is luck of the steps: one sample in 20 gave 7.9 then.
 One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would end
 with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run better than
 the two that are named (3.8 mm). Its careful setting names one that is not there.

@@ -45,7 +45,7 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
         channel,
         "state",
         "time step of the model that is too long",
-        f"F_dt(x) + {name} (G_dt(x) - F_dt(x)), G four steps of dt/4",
+        f"F_dt(x) + {name} (G_dt(x) - F_dt(x)), G_dt: F_dt/4 four times",
         (
             Parameter(
                 name, 0.0, "1", (0.0, 4.0), "1: four quarter-steps, 4/3: the limit of short ones"

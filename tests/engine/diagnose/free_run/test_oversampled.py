@@ -145,7 +145,7 @@ def test_longer_steps_are_worth_nothing_beside_noise_and_much_without():
 
 @pytest.mark.slow
 def test_what_shows_in_seconds_is_named_by_a_diagnosis():
-    """The offset is 5 N off. In the other record (seed 2) the last rows happen to speak against it, p = 0.04."""
+    """The offset is 5 N off. In the record of seed 2 the last rows happen to speak against it, p = 0.04."""
     kinds = ["force", "drag", "quadratic", "delay"]
     series = slow(seed=3, sigma_v=2e-3, sigma_y=1e-4)
     found = engine.diagnose(SERVO, series, free=FREE, effects=kinds, seed=1, held_out=0.1)
