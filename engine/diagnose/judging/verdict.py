@@ -121,9 +121,11 @@ def patchwork(search: Search, alpha: float) -> str:
     how the rest of a cause looks that another effect explains in part, unless each gains more beside the
     other than by itself; or where something is still seen, at ``LEFT * alpha``, after two effects or after
     noise. Outliers, which hide others, count in the last rule only, and an error of the model's steps in none.
+    Steps that came at one time count as one.
     """
     # what the model's own steps get wrong is there beside whatever is found
     found = [one.effect for one in search.named if not as_foreseen(one.effect, one.fit)]
+    found = [effect for effect in found if effect.name not in search.at_once[1:]]
     # a drift and its bend are one
     effects = [e for e in found if not (e.traits.outliers or e.traits.bends)]
     noises = [effect.name for effect in effects if effect.family == "noise"]

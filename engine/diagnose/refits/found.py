@@ -20,7 +20,8 @@ class Search:
     choices that were not weighed beside the effects found after them. ``as_well`` are effects that together
     explain as much as those found in turn, and are others. ``by_the_steps`` decide the first round, so that
     it ended there, to be begun with shorter ones. ``begun`` is the first round as it was found, with nothing
-    beside it; ``small_rest`` where what was seen after it is left without a name.
+    beside it; ``small_rest`` where what was seen after it is left without a name;
+    ``at_once`` are steps that came at one time, one event.
     """
 
     base: QuasiFit
@@ -33,6 +34,7 @@ class Search:
     by_the_steps: bool = False
     begun: Round | None = None
     small_rest: bool = False
+    at_once: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[Refit, ...]:

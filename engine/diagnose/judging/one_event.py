@@ -1,0 +1,80 @@
+"""Steps that came at one time are one event: a payload that is picked up, a tool that is changed.
+
+It alters all parameters that it enters, so a search finds several steps in turn, each with a time of its own.
+Each of these was the best beside others that were not found yet, so one time may explain the data even better.
+Where it does as well as several, they are no patches on a cause without a name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.traits import Course
+from engine.diagnose.refits.found import Search
+from engine.distributions import chi2_isf
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.words import enumerated, moment
+
+TIMES = 50  # tried at most, of those from the first to the last that was found
+REFITTED = 3  # of them
+ITERATIONS = 10  # of the other parameters' fit beside one time
+BY_CHANCE = 0.05  # that several times explain so much more than one
+
+
+def as_one_event(found: Search, series: Series) -> tuple[Search, str]:
+    """The search with its steps at one time, and a sentence on them; as it was where they have several.
+
+    Of more than two that came at different times all but one are tried.
+    """
+    if series.begins or any(one.effect.traits.outliers for one in found.named):
+        return (
+            found,
+            "",
+        )  # of several records each has a clock; outliers are judged by another filter
+    known = found.final.model.parameter_names
+    steps = [one.effect for one in found.named if one.effect.traits.course is Course.STEP]
+    steps = [effect for effect in steps if _time(effect) in known]
+    for n in range(len(steps), max(1, len(steps) - 2), -1):
+        for among in combinations(steps, n):
+            fit = _at_one_time(among, found.final, series)
+            if fit is None:
+                continue
+            names = tuple(effect.name for effect in among)
+            when = moment(fit.theta[_time(among[0])], series.usual_step, series.time_unit)
+            return replace(found, final=fit, at_once=names), (
+                f"{enumerated(list(names))} are one event as far as these data tell: that all of them came "
+                f"at t = {when} explains as much as a time of its own for each."
+            )
+    return found, ""
+
+
+def _time(effect: Effect) -> str:
+    return f"{effect.size.name}_time"
+
+
+def _at_one_time(steps: Sequence[Effect], fit: QuasiFit, series: Series) -> QuasiFit | None:
+    """The fit with one time for all of them, None where several explain more than by chance."""
+    names = [_time(effect) for effect in steps]
+    own = np.array([fit.theta[name] for name in names])
+    t = series.t[series.samples]
+    times = t[np.searchsorted(t, own.min()) : np.searchsorted(t, own.max(), side="right")]
+    few = np.linspace(0, len(times) - 1, min(len(times), TIMES)).round().astype(int)
+    times = np.unique([*own, *times[few]])
+    free = [name for name in fit.free if name not in names]
+    try:
+        rows = [fit.model.theta(fit.theta.asdict() | dict.fromkeys(names, at)) for at in times]
+        values = log_likelihoods(fit.model, [series], np.array(rows))
+        best = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")[:REFITTED]
+        fits = [quasi_ml(fit.model, series, rows[k], free, ITERATIONS) for k in best]
+    except (EngineError, np.linalg.LinAlgError):
+        return None
+    one = max(fits, key=lambda each: each.log_likelihood)
+    lost = 2.0 * (fit.log_likelihood - one.log_likelihood)
+    return one if lost <= chi2_isf(BY_CHANCE, len(steps) - 1) else None
