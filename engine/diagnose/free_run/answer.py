@@ -19,7 +19,10 @@ from engine.diagnose.free_run_fits.columns import CANNOT
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run_fits.folds import p_better
 from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY, SAME, Cause, LookAlike, Verdict
+from engine.diagnose.judging.small_rest import LEFT_OVER
+from engine.diagnose.judging.verdict import PATCHES, counted
 from engine.diagnose.refits.amplitude import amplitude_of
+from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
@@ -74,12 +77,20 @@ class FreeRunSearch:
         return not self.rounds[-1].survivors and self.rounds[-1].alarmed
 
     @property
+    def is_patchwork(self) -> bool:
+        """Whether it takes more effects than are trusted until next to nothing of the error is left."""
+        most = np.sqrt(LEFT_OVER) * self.rounds[0].fit.rms
+        needed = [r.chosen for r in self.rounds if r.chosen is not None and r.fit.rms > most]
+        added = (effect for chosen in needed for effect in chosen.added)
+        return len(counted(e for e in added if not as_foreseen(e, self.after))) > PATCHES
+
+    @property
     def verdict(self) -> Verdict:
         """As this criterion alone sees it."""
         if not self.found:
             return Verdict.UNKNOWN if self.alarm_left else Verdict.NOTHING
         left = self.final.rms / self.rounds[0].fit.rms
-        if self.alone is not None or (self.alarm_left and left > UNEXPLAINED):
+        if self.alone is not None or self.is_patchwork or (self.alarm_left and left > UNEXPLAINED):
             return Verdict.UNKNOWN
         if self.missing is not None and self.missing.left < UNEXPLAINED:
             return Verdict.UNKNOWN  # a function does far better than all names

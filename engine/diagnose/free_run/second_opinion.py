@@ -35,6 +35,7 @@ from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import NAMES
+from engine.diagnose.judging.verdict import TOO_MANY
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes
@@ -251,6 +252,11 @@ def _decided(
             "but no other cause does far better on rows left out."
         )
     reason = f"The free run decides: {_too_far(first.alarm)}, and {_why(verdict, settled)}."
+    if found.is_patchwork:
+        reason += (
+            f" What it found looks like patches on a cause that is not in the catalogue: {TOO_MANY}, so none "
+            "is named."
+        )
     return True, f"{reason}{_of_one_record(found.alone)}"
 
 

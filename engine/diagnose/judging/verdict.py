@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.judging.findings import (
     AS_LIKELY,
     CONTRADICTED,
@@ -32,6 +33,7 @@ from engine.words import enumerated, number, probability, with_unit
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
 PATCHES = 2  # effects in turn that are trusted; more stand for something else
+TOO_MANY = f"more than {PATCHES} effects are needed"
 LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
 SHOWN = 5  # look-alikes listed at most
 NEAREST = 3  # effects listed as what something more may be
@@ -126,11 +128,10 @@ def patchwork(search: Search, alpha: float) -> str:
     # what the model's own steps get wrong is there beside whatever is found
     found = [one.effect for one in search.named if not as_foreseen(one.effect, one.fit)]
     found = [effect for effect in found if effect.name not in search.at_once[1:]]
-    # a drift and its bend are one
-    effects = [e for e in found if not (e.traits.outliers or e.traits.bends)]
+    effects = counted(found)
     noises = [effect.name for effect in effects if effect.family == "noise"]
     if len(effects) > PATCHES:
-        return f"more than {PATCHES} effects are needed"
+        return TOO_MANY
     if noises and len(effects) > 1 and not search.has_noise_apart:
         return f"{noises[0]} is a property of the noise, as what another effect leaves of a cause looks"
     if (noises or len(found) > 1) and not search.rounds[-1].equivalent:
@@ -139,6 +140,11 @@ def patchwork(search: Search, alpha: float) -> str:
             names = " and ".join(effect.name for effect in found)
             return f"something is still seen beside {names} ({probability(left.p_value, left.at_floor)})"
     return ""
+
+
+def counted(effects: Iterable[Effect]) -> list[Effect]:
+    """Those that count: outliers hide others, and a drift and its bend are one."""
+    return [e for e in effects if not (e.traits.outliers or e.traits.bends)]
 
 
 def unnamed_is_better(found: Round) -> bool:

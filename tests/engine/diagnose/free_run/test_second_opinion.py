@@ -162,7 +162,8 @@ def test_a_pair_with_a_name_that_the_likelihood_refuted_is_not_named(free_run, d
     ]
     alarm = SimpleNamespace(p_near=0.5, p_size=0.01, p_gain=0.1, probability="p = 0.01")
     first = SimpleNamespace(alarmed=True, alarm=alarm)
-    search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)], alone=None)
+    found = [SimpleNamespace(names=free_run)]
+    search = SimpleNamespace(rounds=[first], found=found, alone=None, is_patchwork=False)
     refuted = ("cubic-sensor:y", "direct:u->y")
     causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=False, refuted=refuted)
     said, reason = _decided(causes, False, named, search)
@@ -176,7 +177,8 @@ def test_a_shape_that_the_likelihood_refuted_is_refuted_for_the_free_run(free_ru
     named = [SimpleNamespace(effect=SimpleNamespace(name=name)) for name in ("cubic:x", "force:x")]
     alarm = SimpleNamespace(p_near=0.5, p_size=0.01, p_gain=0.1, probability="p = 0.01")
     first = SimpleNamespace(alarmed=True, alarm=alarm)
-    search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)], alone=None)
+    found = [SimpleNamespace(names=free_run)]
+    search = SimpleNamespace(rounds=[first], found=found, alone=None, is_patchwork=False)
     for refuted in (True, False):
         causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=refuted, refuted=())
         said, reason = _decided(causes, False, named, search)
