@@ -23,6 +23,7 @@ from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.words import enumerated, moment
 
 TIMES = 50  # tried at most, of those from the first to the last that was found
+BESIDE = 5  # samples before and after them, as their own times are those of a grid
 REFITTED = 3  # of them
 ITERATIONS = 10  # of the other parameters' fit beside one time
 BY_CHANCE = 0.05  # that several times explain so much more than one
@@ -64,7 +65,8 @@ def _at_one_time(steps: Sequence[Effect], fit: QuasiFit, series: Series) -> Quas
     names = [_time(effect) for effect in steps]
     own = np.array([fit.theta[name] for name in names])
     t = series.t[series.samples]
-    times = t[np.searchsorted(t, own.min()) : np.searchsorted(t, own.max(), side="right")]
+    first, last = np.searchsorted(t, own.min()), np.searchsorted(t, own.max(), side="right")
+    times = t[max(1, first - BESIDE) : last + BESIDE]
     few = np.linspace(0, len(times) - 1, min(len(times), TIMES)).round().astype(int)
     times = np.unique([*own, *times[few]])
     free = [name for name in fit.free if name not in names]

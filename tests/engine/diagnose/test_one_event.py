@@ -73,8 +73,9 @@ def found(rows, times):
 
 
 @pytest.mark.long
-def test_times_that_differ_by_chance_are_one():
-    search, series = found((200, 200, 200), (20.0, 20.1, 20.0))
+@pytest.mark.parametrize("times", [(20.0, 20.1, 20.0), (20.1, 20.1, 20.2)])
+def test_times_that_differ_by_chance_are_one(times):
+    search, series = found((200, 200, 200), times)
     assert patchwork(search, 0.05) == "more than 2 effects are needed"
     search, said = as_one_event(search, series)
     assert search.at_once == tuple(NAMES)
