@@ -19,8 +19,7 @@ from engine.diagnose.free_run_fits.columns import CANNOT
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run_fits.folds import p_better
 from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY, SAME, Cause, LookAlike, Verdict
-from engine.diagnose.judging.small_rest import LEFT_OVER
-from engine.diagnose.judging.verdict import PATCHES, counted
+from engine.diagnose.judging.verdict import counted
 from engine.diagnose.refits.amplitude import amplitude_of
 from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.screening import Progress
@@ -37,6 +36,7 @@ ROUNDS = 3
 SHOWN = 5  # look-alikes listed at most
 LEFT = 0.05  # of the free run's error before: so little is not worth another round
 LITTLE = 4.0  # 2 x log-likelihood, as one parameter gains by chance
+MOST = 3  # effects that are trusted, a pair and what only shows beside it; more stand for something else
 UNEXPLAINED = 0.5  # of the same: with so much left beyond noise, no name settles it
 CALLED_FOR = 0.25  # of the squared error of the others: what is found takes as much, or one record calls for it
 
@@ -78,11 +78,9 @@ class FreeRunSearch:
 
     @property
     def is_patchwork(self) -> bool:
-        """Whether it takes more effects than are trusted until next to nothing of the error is left."""
-        most = np.sqrt(LEFT_OVER) * self.rounds[0].fit.rms
-        needed = [r.chosen for r in self.rounds if r.chosen is not None and r.fit.rms > most]
-        added = (effect for chosen in needed for effect in chosen.added)
-        return len(counted(e for e in added if not as_foreseen(e, self.after))) > PATCHES
+        """Whether it takes more effects than are trusted."""
+        added = (effect for chosen in self.found for effect in chosen.added)
+        return len(counted(e for e in added if not as_foreseen(e, self.after))) > MOST
 
     @property
     def verdict(self) -> Verdict:

@@ -17,6 +17,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.answer import (
+    MOST,
     FreeRunSearch,
     noise_fit,
     search_free_runs,
@@ -35,7 +36,6 @@ from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import NAMES
-from engine.diagnose.judging.verdict import TOO_MANY
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes
@@ -254,8 +254,8 @@ def _decided(
     reason = f"The free run decides: {_too_far(first.alarm)}, and {_why(verdict, settled)}."
     if found.is_patchwork:
         reason += (
-            f" What it found looks like patches on a cause that is not in the catalogue: {TOO_MANY}, so none "
-            "is named."
+            " What it found looks like patches on a cause that is not in the catalogue: more than "
+            f"{MOST} effects are needed, so none is named."
         )
     return True, f"{reason}{_of_one_record(found.alone)}"
 

@@ -33,7 +33,6 @@ from engine.words import enumerated, number, probability, with_unit
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
 PATCHES = 2  # effects in turn that are trusted; more stand for something else
-TOO_MANY = f"more than {PATCHES} effects are needed"
 LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
 SHOWN = 5  # look-alikes listed at most
 NEAREST = 3  # effects listed as what something more may be
@@ -131,7 +130,7 @@ def patchwork(search: Search, alpha: float) -> str:
     effects = counted(found)
     noises = [effect.name for effect in effects if effect.family == "noise"]
     if len(effects) > PATCHES:
-        return TOO_MANY
+        return f"more than {PATCHES} effects are needed"
     if noises and len(effects) > 1 and not search.has_noise_apart:
         return f"{noises[0]} is a property of the noise, as what another effect leaves of a cause looks"
     if (noises or len(found) > 1) and not search.rounds[-1].equivalent:
