@@ -45,7 +45,7 @@ from engine.diagnose.effects.catalogue import (
 )
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import later_of
+from engine.diagnose.effects.of_series import later_of
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.second_opinion import overtaken
 from engine.diagnose.free_run.windows import rows_searched

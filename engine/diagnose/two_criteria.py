@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.first_states import begins_as_said
 from engine.diagnose.free_run.oversampled import (
     DECIDES,

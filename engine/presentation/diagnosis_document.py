@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from engine.design.rivals import to_ask
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.gain.adoption import in_full, in_short
 from engine.diagnose.refits.latent_force import UnnamedForce

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from engine.data.joined import starts_of
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import extend
-from engine.diagnose.effects.setting import Setting, later_of
+from engine.diagnose.effects.of_series import later_of
+from engine.diagnose.effects.setting import Setting
 from engine.errors import EngineError
 from engine.models.files import in_file, model_from
 from engine.models.registry import get_model, model_names

@@ -43,7 +43,7 @@ from scipy.linalg import expm
 import engine
 from engine.compile_kernels import warm
 from engine.diagnose import extend, hide
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.estimation.quasi_ml import derivatives
 from engine.filters.sigma_point import moment_filter
 

@@ -25,7 +25,7 @@ import numpy as np
 import engine
 from engine.diagnose import diagnose, extend
 from engine.diagnose.effects.catalogue import all_effects
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.search.pipeline import fit_base
 from engine.diagnose.search.search import screen_effects
 

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import engine
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run_fits.candidates import candidates
 from engine.diagnose.free_run_fits.folds import folds_of, losses
 from engine.diagnose.steps.substeps import choose

@@ -26,7 +26,7 @@ import engine.filters.strata
 import engine.simulation.simulate
 from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.filters.sigma_point import _path, moment_filter
 from engine.simulation.simulate import propagate, simulate, states_of
 from tests.benchmarks.bench_diagnose import series_of

@@ -10,7 +10,8 @@ import numpy as np
 from engine.data.joined import starts_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_round

@@ -13,7 +13,8 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.steps.substeps import MUCH, is_consistent, sampled
 from engine.diagnose.symptoms.runs import start_state

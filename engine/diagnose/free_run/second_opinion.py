@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import (
     MOST,
     FreeRunSearch,

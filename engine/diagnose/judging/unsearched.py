@@ -16,7 +16,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.screening import screen_effects
 from engine.errors import EngineError, OptionError

@@ -79,11 +79,8 @@ def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
         return rank((r.effect,), setting), r.effect.channel not in outputs, r.effect.name
 
     first = min(even, key=order)
-    if (
-        not first.is_sure
-    ):  # a bend from far away, say, where all that is seen of it is a constant force
-        fewer = [
-            r for r in equivalent if further_parameters(r.effect) < further_parameters(first.effect)
-        ]
+    few = further_parameters(first.effect)
+    fewer = [r for r in equivalent if further_parameters(r.effect) < few]
+    if fewer and not first.is_sure:  # a bend from far away, of which a constant force is seen, say
         first = next((r for r in fewer if r.is_sure), first)
     return (first, *(r for r in equivalent if r is not first))

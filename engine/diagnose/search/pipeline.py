@@ -14,7 +14,8 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.judging.feedback import answering, of_own_row, told
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import ENOUGH, NAMES, has_tails, judged

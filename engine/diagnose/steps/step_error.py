@@ -17,7 +17,8 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import extend, make_effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.refits.rounds import MARGIN, Round, settle

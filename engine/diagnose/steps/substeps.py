@@ -20,8 +20,9 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.kinds.time_step import KIND as TIME_STEP
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.rates import Points
-from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
+from engine.diagnose.effects.setting import ON_TIME, Setting
 from engine.diagnose.records import Records
 from engine.diagnose.symptoms.runs import start_state
 from engine.errors import EngineError

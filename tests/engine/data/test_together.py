@@ -6,7 +6,7 @@ import pytest
 import engine
 from engine.data.joined import anew, apart, starts_of, together
 from engine.diagnose import all_effects, make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.screening.score_columns import Projection, effect_columns
 from engine.diagnose.screening.screen import make_test
 from engine.diagnose.screening.time_scan import FINER, family_test, grid, is_timed

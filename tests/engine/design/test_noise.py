@@ -12,7 +12,7 @@ from engine.design.contest import Demand, contest, demand_of
 from engine.design.noise import NoiseRoom, noise_room
 from engine.design.residuals import Residuals
 from engine.design.runs import Experiments, linearised
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.calibration import SERIES
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.screening.screening import screen_effects

@@ -9,7 +9,8 @@ import pytest
 
 import engine
 from engine.diagnose.effects.catalogue import extend, make_effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.amplitude import amplitude_of
 from engine.diagnose.refits.refit import refit
 from engine.diagnose.screening.screen import Score

@@ -7,7 +7,7 @@ import numpy as np
 
 import engine
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging.at_inputs import outliers_at_inputs
 from engine.diagnose.refits.rounds import Round
 from engine.distributions import binomial_sf

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.bootstrap import bootstrap_p
 from engine.diagnose.refits.calibration import Question
 from engine.diagnose.search.search import screen_effects

@@ -14,7 +14,8 @@ from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.catalogue import shadowed
 from engine.diagnose.effects.free_function import free_function
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.judging.verdict import set_of
 from engine.diagnose.refits.refit import refit

@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.catalogue import all_effects, extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging.feedback import answering, foretold, of_own_row, switched
 from engine.estimation.quasi_ml import quasi_ml
 

@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose import diagnose, extend, make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.estimation.quasi_ml import quasi_ml
 
 DRUG = engine.continuous(

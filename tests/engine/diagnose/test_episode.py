@@ -9,7 +9,7 @@ import pytest
 
 import engine
 from engine.diagnose import diagnose
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.screening.episodes import NEAR, lengths, near, promising, strides
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml

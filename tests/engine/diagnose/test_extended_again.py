@@ -5,7 +5,8 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.steps.substeps import choose
 
 

@@ -9,7 +9,8 @@ import pytest
 import engine
 from engine.diagnose import make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.refitting import REFITS, _with_ties, _worth_refitting
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml

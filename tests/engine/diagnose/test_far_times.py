@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.search.pipeline import find_causes
 from engine.words import moment
 

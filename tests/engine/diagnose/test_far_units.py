@@ -5,7 +5,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.catalogue import all_effects
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run.answer import best_runs
 from engine.diagnose.free_run.missing_function import _Push
 from engine.diagnose.free_run_fits.columns import columns, run_of

@@ -6,7 +6,7 @@ import pytest
 from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits import refit as module
 from engine.diagnose.refits.refit import cost, refit
 from engine.diagnose.screening.screen import Score

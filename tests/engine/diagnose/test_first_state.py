@@ -10,7 +10,7 @@ import pytest
 import engine
 from engine.diagnose import diagnose, extend
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run.windows import rows_searched, stretch
 from engine.diagnose.gain.narrowing import narrowed
 from engine.diagnose.screening.score_columns import effect_columns, innovation_columns

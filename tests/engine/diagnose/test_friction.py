@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import engine
 from engine.diagnose import extend, make_effect
 from engine.diagnose.effects.kinds.friction import rubbed, with_feeding
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import Units
 

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 import engine
 from engine.diagnose import extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.gain.adoption import Decision, in_full
 from engine.diagnose.gain.gain import (
     diebold_mariano,

@@ -5,7 +5,7 @@ import pytest
 
 import engine
 from engine.diagnose import diagnose, extend, make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.estimation.quasi_ml import quasi_ml
 
 T, DT, WHEN = 400, 60.0, 240  # rows, seconds, the row at which it happens

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import engine
 from engine import Series
 from engine.diagnose import all_effects
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 
 OMEGA, ZETA, DT = 6.0, 0.05, 0.12  # nine samples a period
 

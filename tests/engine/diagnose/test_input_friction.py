@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 
 import engine
 from engine.diagnose import all_effects, extend, make_effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.filter_steps import FilterSteps, Thetas

@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 import engine
 from engine.diagnose import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.symptoms.runs import noise_free
 from engine.filters.sigma_point import moment_filter
 from tests.engine.hidden_effects import DRIVE, DT, levels, smooth

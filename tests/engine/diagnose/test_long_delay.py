@@ -6,7 +6,7 @@ import pytest
 import engine
 from engine import Parameter
 from engine.diagnose import extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.simulation.simulate import step_lengths
 from engine.simulation.taped import run_by_tape
 from tests.engine.diagnose.test_friction import DT, body, measured

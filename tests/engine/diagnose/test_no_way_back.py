@@ -5,7 +5,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.catalogue import all_effects, make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 
 SALES = engine.MixedModel(
     name="sales",

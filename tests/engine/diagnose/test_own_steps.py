@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.steps.own_steps import about_own_steps
 from engine.estimation.quasi_ml import quasi_ml
 

@@ -7,7 +7,7 @@ import pytest
 
 from engine.data.series import Series
 from engine.diagnose import LEAST_ALPHA, diagnose
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run.null import SERIES, Alarm
 from engine.diagnose.free_run.second_opinion import SETTLED, _noise_explains, _too_far
 from engine.diagnose.judging.findings import Cause

@@ -9,7 +9,7 @@ import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
 from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.parameters import stopped_share
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
 
 T, DT, FINE = 500, 60.0, 20

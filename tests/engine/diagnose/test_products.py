@@ -7,7 +7,8 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.records import Records
 from engine.diagnose.steps.substeps import prepare, undeclared
 

@@ -6,7 +6,7 @@ import pytest
 
 from engine import Series
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.refits.rounds import Round

@@ -9,7 +9,8 @@ from scipy.stats import chi2, kstest
 import engine
 from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.refit import Refit, cost, refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.score_columns import Column, Projection

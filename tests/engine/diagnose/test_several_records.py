@@ -8,7 +8,8 @@ from engine.data.joined import together
 from engine.data.series import Series
 from engine.diagnose import extend
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain, measure_gain_interleaved
 from engine.diagnose.judging.findings import Verdict

@@ -9,7 +9,7 @@ import pytest
 
 import engine
 from engine.diagnose import extend, make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging import small_rest
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.small_rest import first_alone

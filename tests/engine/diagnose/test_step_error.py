@@ -14,7 +14,7 @@ from engine import Gaussian, MixedModel, Parameter, Series
 from engine.diagnose import Effect, diagnose, extend, register_effect
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import Split, on_base, pushed
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.checkpoint import NOTHING
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.search.pipeline import find_causes

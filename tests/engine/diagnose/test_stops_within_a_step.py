@@ -7,7 +7,7 @@ import engine
 from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.kinds.time_step import KIND
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.steps.substeps import undeclared
 
 M, B, FRICTION, GAIN = 0.8, 1.6, 0.15, 0.3  # kg, N s/m, N, N/V

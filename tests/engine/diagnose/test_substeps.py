@@ -8,8 +8,9 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.rates import guessed_points
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
 from engine.diagnose.steps import substeps

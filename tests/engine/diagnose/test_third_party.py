@@ -7,7 +7,7 @@ import engine
 from engine.diagnose import Course, Effect, Traits, diagnose, effect_kinds, register_effect
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import add_to_state
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.refitting import refit_swallowed
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml

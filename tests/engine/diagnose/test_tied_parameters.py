@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.search.pipeline import told_together
 from engine.estimation.quasi_ml import quasi_ml

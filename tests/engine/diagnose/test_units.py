@@ -10,7 +10,8 @@ from scipy.stats import norm
 import engine
 from engine.diagnose.effects.catalogue import all_effects, make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.zeros import without_zero
 from engine.diagnose.screening.score_columns import Projection, effect_columns
 from engine.diagnose.screening.screen import make_test

@@ -16,7 +16,8 @@ from engine.data.series import Series
 from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.judging.findings import AS_LIKELY, LESS_LIKELY, SAME
 from engine.diagnose.refits.latent_force import UnnamedForce, unnamed_force

@@ -4,7 +4,7 @@ import numpy as np
 
 import engine
 from engine.diagnose import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.estimation.jumps import slopes
 from engine.estimation.quasi_ml import derivatives, log_likelihoods
 

@@ -12,7 +12,7 @@ import engine.filters.strata
 from engine.data.joined import joined
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.heavy_tails import with_mixture
 from engine.filters.sigma_point import moment_filter, moment_path, run_on_tape

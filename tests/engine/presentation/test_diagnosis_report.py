@@ -13,7 +13,8 @@ from engine.data import nile
 from engine.data.series import Series
 from engine.diagnose import diagnose, extend, make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.gain.adoption import Decision, decide, in_full, in_short
 from engine.diagnose.gain.gain import (
     Gain,

@@ -7,7 +7,7 @@ import pytest
 
 import engine.simulation.simulate
 from engine.diagnose.effects.catalogue import all_effects
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.models.registry import get_model
 from engine.simulation.simulate import propagate, states_of
 from engine.simulation.taped import run_by_tape

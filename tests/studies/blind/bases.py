@@ -9,7 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.models.registry import get_model
 from engine.simulation.simulate import simulate
 from engine.statespace.model import Array, MixedModel

@@ -9,7 +9,7 @@ import engine
 from engine.data import nile
 from engine.data.series import Series
 from engine.diagnose import extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.estimation.quasi_ml import quasi_ml
 from tests.studies.plasmodes.planted import PUTS, Place, put_in
 from tests.studies.plasmodes.report import in_set, right, wrong

@@ -22,7 +22,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from tests.studies.blind.sizes import refit_truth

@@ -18,7 +18,8 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose import make_effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.windows import rows_searched, telling
 from engine.diagnose.records import records_of
 from engine.diagnose.search.pipeline import fit_base

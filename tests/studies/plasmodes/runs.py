@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.diagnose import diagnose, make_effect
 from engine.diagnose.diagnosis import Diagnosis
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging.verdict import set_of
 from engine.errors import OptionError
 from tests.studies.plasmodes.planted import PUTS, Place, Put, put_in

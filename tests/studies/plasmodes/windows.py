@@ -20,7 +20,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose import diagnose, extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging.verdict import PATCHES
 from engine.errors import EngineError
 from engine.statespace.model import MixedModel, Theta

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run_fits.columns import columns
 from engine.diagnose.free_run_fits.folds import folds_of
 from engine.diagnose.free_run_fits.linear import Linear

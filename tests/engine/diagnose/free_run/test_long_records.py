@@ -8,7 +8,7 @@ import pytest
 import engine
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run import windows
 from engine.diagnose.free_run_fits.columns import columns
 from engine.diagnose.free_run_fits.fitted import fit_runs

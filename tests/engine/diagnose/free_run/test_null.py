@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run import null
 from engine.diagnose.free_run.null import SERIES, Alarm, alarm
 from engine.diagnose.free_run.refitted import as_near

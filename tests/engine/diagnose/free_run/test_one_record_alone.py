@@ -8,7 +8,7 @@ import pytest
 import engine
 from engine.data.series import Series
 from engine.diagnose import extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run.answer import FreeRunSearch, only_one
 from engine.diagnose.free_run.second_opinion import _of_one_record
 from engine.diagnose.free_run_fits.candidates import fit_of

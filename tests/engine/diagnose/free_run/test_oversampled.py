@@ -5,7 +5,7 @@ import pytest
 
 import engine
 from engine.data.series import Series
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run.oversampled import (
     DECIDES,
     FEWEST,

@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.free_run.answer import _look_alikes
 from engine.diagnose.free_run.null import Alarm
 from engine.diagnose.free_run.search import Candidate, FreeRound, _errors, survivors
