@@ -40,7 +40,7 @@ from engine.diagnose.judging.judgement import NAMES
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes
-from engine.diagnose.search.search import part_of
+from engine.diagnose.search.search import part_of, without_outliers
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Theta
 from engine.words import enumerated, moment
@@ -91,6 +91,7 @@ def second_opinion(
     ``enough`` tells whether their steps are short enough for a fit with effects.
     """
     base, named = causes.base, [r.refits[0] for r in causes.search.rounds if r.equivalent]
+    given = [_without_outliers(base, named, one, seed) for one in given]
     patches = any(refit.effect.family == "noise" for refit in named)
     patches = patches and not causes.search.has_noise_apart
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
@@ -145,6 +146,16 @@ def second_opinion(
     decides, reason = _decided(causes, settled, named, found)
     reason = f"{reason}{_part(records, given)}"
     return SecondOpinion(*said, decides, reason, seen, found, found.missing)
+
+
+def _without_outliers(base: QuasiFit, named: Sequence[Refit], series: Series, seed: int) -> Series:
+    """The record without what the likelihood found to be outliers of a reading: Gaussian noise has none."""
+    for found in named:
+        effect = found.effect
+        if effect.traits.outliers and effect.channel in base.model.outputs:
+            theta = base.model.theta(found.fit.theta[: len(base.theta)])
+            series = without_outliers(replace(base, theta=theta), series, effect.channel, seed)
+    return series
 
 
 def heeding(
