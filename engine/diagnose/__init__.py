@@ -17,8 +17,8 @@ It is ``unknown``, too, where several records have parameters of their own, for 
 effect that explains less; and where noise leads and the record explains more with its inputs read otherwise. A
 name that is preferred by too little is one of a set where another one predicts better at every horizon.
 
-What is left or contradicted after the first effect does not take that its name where it is a small part of
-what the likelihood gains, and the free run with the first alone keeps next to nothing of its error.
+What is left or contradicted beside the main effect does not take that its name where it is a small part of
+what the likelihood gains, and the free run with that one alone keeps next to nothing of its error.
 """
 
 from __future__ import annotations

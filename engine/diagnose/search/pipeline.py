@@ -19,7 +19,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.judging.feedback import answering, of_own_row, told
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import ENOUGH, NAMES, has_tails, judged
-from engine.diagnose.judging.small_rest import first_alone
+from engine.diagnose.judging.small_rest import main_alone
 from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.likeness import as_foreseen
@@ -151,9 +151,9 @@ def find_causes(  # noqa: PLR0913
     if (said.verdict is Verdict.UNKNOWN or by_steps) and not settled:
         alone = None
         with suppress(EngineError, np.linalg.LinAlgError):
-            alone = first_alone(found, series)
+            alone = main_alone(found, series)
         if alone is not None:
-            instead = judge(alone, kept=kept.apart("first alone"))
+            instead = judge(alone, kept=kept.apart("main alone"))
             said = instead if instead.verdict in NAMES else said
     found, verdict = said.search, said.verdict
     notes.extend(said.notes)

@@ -12,11 +12,12 @@ from engine.diagnose import extend, make_effect
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging import small_rest
 from engine.diagnose.judging.findings import Verdict
-from engine.diagnose.judging.small_rest import first_alone
+from engine.diagnose.judging.small_rest import main_alone
 from engine.diagnose.judging.verdict import doubts, patchwork, verdict_of
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refit import Refit
 from engine.diagnose.refits.rounds import Round
+from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.pipeline import find_causes
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.diagnose.test_friction import DT, body, by_hand, measured
@@ -56,19 +57,18 @@ def found_in_turn(series, first, second):
     return Search(base, before, tuple(rounds), True, begun=rounds[0])
 
 
-def seen(name, statistic=40.0):
+def seen(name, statistic=40.0, p_value=0.002):
     traits = SimpleNamespace(unnamed=False, outliers=False)
     effect = SimpleNamespace(name=name, kind=name.partition(":")[0], traits=traits)
-    score = SimpleNamespace(effect=effect, p_value=1e-4, statistic=statistic)
-    screen: Any = SimpleNamespace(scores=[score], p_value=0.002, at_floor=True)
-    return screen
+    score: Any = SimpleNamespace(effect=effect, p_value=1e-4, statistic=statistic)
+    return Screen((score,), p_value, 0.01, np.eye(1), np.ones(499))
 
 
 @pytest.mark.long
 def test_nearly_all_that_is_wrong_has_its_name_whatever_the_rest_is(record):
     found = found_in_turn(record, "coulomb:v", "bias:y")
     assert verdict_of(found, 0.05) is Verdict.UNKNOWN
-    alone = first_alone(found, record)
+    alone = main_alone(found, record)
     assert alone is not None
     assert [one.effect.name for one in alone.named] == ["coulomb:v"]
     assert verdict_of(alone, 0.05) is Verdict.NAMED
@@ -80,8 +80,25 @@ def test_nearly_all_that_is_wrong_has_its_name_whatever_the_rest_is(record):
 
 
 @pytest.mark.long
-def test_a_name_for_a_part_of_what_is_wrong_is_not_kept(record):
-    assert first_alone(found_in_turn(record, "bias:y", "coulomb:v"), record) is None
+def test_nearly_all_that_is_wrong_has_its_name_though_a_patch_was_found_before_it(record):
+    """Behind fitted noise it did not lead."""
+    found = found_in_turn(record, "bias:y", "coulomb:v")
+    first = found.rounds[0]
+    assert first.refits[0].gain < found.rounds[1].refits[0].gain
+    found = replace(found, alarm_left=False)
+    alone = main_alone(found, record)
+    assert alone is not None
+    assert [one.effect.name for one in alone.named] == ["coulomb:v"]
+    assert "bias_y" not in alone.final.theta.names
+    assert alone.rounds[0].screen is first.screen  # whose p-value is that of the alarm
+    (said,) = doubts(alone, 0.05)
+    assert "most like bias:y" in said
+
+
+@pytest.mark.long
+def test_a_name_for_a_part_of_what_is_wrong_is_not_kept(record, monkeypatch):
+    monkeypatch.setattr(small_rest, "REST", 1e-6)
+    assert main_alone(found_in_turn(record, "bias:y", "coulomb:v"), record) is None
 
 
 @pytest.mark.long
@@ -89,7 +106,7 @@ def test_a_free_run_that_stays_as_wrong_is_not_explained(record, monkeypatch):
     """As of a patch on the noise, which gains one step ahead only."""
     errors = iter([0.5, 1.0])
     monkeypatch.setattr(small_rest, "_run_error", lambda *_: next(errors))
-    assert first_alone(found_in_turn(record, "coulomb:v", "bias:y"), record) is None
+    assert main_alone(found_in_turn(record, "coulomb:v", "bias:y"), record) is None
 
 
 def test_a_run_that_is_lost_tells_nothing(record, monkeypatch):
@@ -204,15 +221,14 @@ def emptied():
         gain = 2.0 * (fit.log_likelihood - before.log_likelihood)
         refits.append(Refit(effect, fit, gain, gain))
     rounds = [Round(seen(one.effect.name), (one,), None, (one,)) for one in refits]
-    rounds.append(Round(seen("pole:h", 1.0), (), None, ()))
-    rounds[-1].screen.p_value = 0.6
+    rounds.append(Round(seen("pole:h", 1.0, 0.6), (), None, ()))
     return series, Search(fits[0], fits[-1], tuple(rounds), False, begun=rounds[0])
 
 
 @pytest.mark.long
 def test_what_the_steps_get_wrong_stays_beside_the_first(emptied):
     series, found = emptied
-    alone = first_alone(found, series)
+    alone = main_alone(found, series)
     assert alone is not None
     assert [one.effect.name for one in alone.named] == ["input-deadzone:pump", "time-step:dt"]
     assert "quadratic_h" not in alone.final.theta.names
@@ -228,7 +244,7 @@ def test_what_the_steps_get_wrong_stays_beside_the_first(emptied):
 def test_beside_the_first_and_the_steps_there_may_be_nothing_more(emptied):
     series, found = emptied
     two = replace(found, rounds=(*found.rounds[:2], found.rounds[-1]), final=found.named[1].fit)
-    assert first_alone(two, series) is None
+    assert main_alone(two, series) is None
 
 
 @pytest.mark.long
