@@ -198,7 +198,7 @@ def _complete(
     """The refit with what else is known, or may be estimated, of its effect."""
     begun = _with_other_beginning(refit, null, series)
     zero = _with_zero(begun, null, series, elsewhere, Visited() if visited is None else visited)
-    return _with_shown_size(zero, null, series)
+    return _with_shown_size(_on_one_side(zero, null, series), null, series)
 
 
 def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:
@@ -286,6 +286,37 @@ def _with_zero(
             continue
         weighed = _weighed(freed, found, null, series)
         refit = weighed if weighed.score > refit.score else refit
+    return refit
+
+
+def _on_one_side(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit of what is cut at two limits cut at one alone, unless the other gains what an effect must.
+
+    That is log T, as of any size. A limit put where the extreme readings are fits their noise.
+    """
+    effect, known = refit.effect, refit.fit
+    size = effect.size.name
+    side, limit = f"{size}_side", f"{size}_limit"
+    if side not in effect.held or known.theta[side] != 0.0 or not refit.score > 0.0:
+        return refit
+    told, zero = known.theta.asdict(), effect.zero
+    limits = [told[limit], *([2.0 * told[zero] - told[limit]] if zero else [])]
+    free = [name for name in known.free if name != zero]
+    if zero and zero not in effect.held:
+        effect = replace(effect, held=(*effect.held, zero))
+    least = refit.score - float(np.log(series.n_measured))
+    for which, at in ((1.0, max(limits)), (-1.0, min(limits))):
+        start = known.model.theta({**told, side: which, limit: at})
+        target = null + 0.5 * (least + cost(effect, series))
+        try:
+            found = quasi_ml(
+                known.model, series, start, free, tolerance=TOLERANCE, target=target, hope=HOPE
+            )
+        except (EngineError, np.linalg.LinAlgError):
+            continue
+        weighed = _weighed(effect, found, null, series)
+        if weighed.score >= least and not found.given_up:
+            refit, least = weighed, weighed.score
     return refit
 
 

@@ -44,3 +44,53 @@ def test_both_limits_are_found_where_the_record_is_mostly_near_one_of_them():
     zero = theta["saturation_sensor_vout_zero"]
     half = abs(theta["saturation_sensor_vout_limit"] - zero)
     assert np.allclose([zero - half, zero + half], [-5.0, 5.0], atol=0.05)
+
+
+NONE = np.zeros((1, 0))
+TANK = engine.MixedModel(
+    name="tank",
+    dynamics=lambda a, u, t, dt, th: (
+        [a[:, 0] + dt * (th.share * u[0] - u[1]) / th.area],
+        NONE,
+        [[th.q * dt]],
+    ),
+    measurement=lambda a, u, t, th: ([a[:, 0]], NONE, [[th.r]]),
+    initial=lambda th: (engine.Gaussian([3.0], [[1.0]]), [], np.zeros((0, 0))),
+    nonlinear={"level": "m"},
+    linear={},
+    inputs={"inflow": "m3/h", "demand": "m3/h"},
+    outputs={"gauge": "m"},
+    parameters=[
+        engine.Parameter("share", 1.0, "1", (0.5, 2.0)),
+        engine.Parameter("area", 50.0, "m2", (5.0, 500.0)),
+        engine.Parameter("q", 1e-5, "m^2/h", (0.0, 1.0)),
+        engine.Parameter("r", 1e-4, "m^2", (1e-10, 1.0)),
+    ],
+)
+
+
+def gauged(seed, n=560, dt=0.25):
+    """A tank that is filled between two levels, and a float that rests at 3.6 m."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * dt
+    demand = 30.0 + 15.0 * np.sin(2.0 * np.pi * t / 24.0)
+    demand += np.interp(np.arange(n), np.arange(0, n + 8, 8), rng.uniform(-5, 5, n // 8 + 1))
+    level, inflow, fills = np.full(n, 3.0), np.empty(n), True
+    for k in range(n):
+        fills = level[k] < 2.5 or (fills and level[k] < 3.8)
+        inflow[k] = 55.0 if fills else 12.0
+        if k + 1 < n:
+            level[k + 1] = level[k] + dt * (1.05 * inflow[k] - demand[k]) / 48.0
+            level[k + 1] += np.sqrt(1e-5 * dt) * rng.standard_normal()
+    y = np.minimum(level + 0.01 * rng.standard_normal(n), 3.6)
+    return engine.Series(y, np.column_stack([inflow, demand]), dt=dt, time_unit="h")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_lowest_reading_is_no_second_limit(seed):
+    found = find_causes(TANK, gauged(seed), effects=["saturation-sensor"], seed=1)
+    assert [one.effect.name for one in found.search.named] == ["saturation-sensor:gauge"]
+    theta = found.search.final.theta
+    assert theta["saturation_sensor_gauge_side"] == 1.0
+    assert theta["saturation_sensor_gauge_limit"] == pytest.approx(3.6, abs=0.01)
