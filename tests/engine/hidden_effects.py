@@ -154,6 +154,14 @@ CASES = {
         "damping",
         {"parameter_step_damping": 1.0, "parameter_step_damping_time": 16.0},
     ),
+    "parameter-episode": (
+        "damping",
+        {
+            "parameter_episode_damping": 2.0,
+            "parameter_episode_damping_time": 16.0,
+            "parameter_episode_damping_end": 21.0,
+        },
+    ),
     "parameter-drift": ("damping", {"parameter_drift_damping": 1.2}),
     "parameter-slope": ("force->damping", {"parameter_slope_force__damping": 0.5}),
     "parameter-bend": ("damping", {"parameter_bend_damping": 0.4}),

@@ -103,6 +103,69 @@ def test_windows_of_a_good_sensor_are_more_chances():
     assert of_reading == pytest.approx(0.5 * n * 0.8 * n, rel=0.02)
 
 
+def cold_store():
+    """A cold store by Euler steps of a minute; a parameter says what its walls lose per kelvin."""
+    none = np.zeros((1, 0))
+    return engine.MixedModel(
+        name="store",
+        dynamics=lambda a, u, t, dt, theta: (
+            [a[:, 0] + dt * (theta.loss * (u[1] - a[:, 0]) - u[0]) / theta.store],
+            none,
+            [[theta.q * dt]],
+        ),
+        measurement=lambda a, u, t, theta: ([a[:, 0]], none, [[theta.r]]),
+        initial=lambda theta: (engine.Gaussian([-15.0], [[9.0]]), [], np.zeros((0, 0))),
+        nonlinear={"air": "degC"},
+        linear={},
+        inputs={"cooling": "kW", "outside": "degC"},
+        outputs={"thermometer": "degC"},
+        parameters=[
+            engine.Parameter("loss", 0.2, "kW/K", (0.0, 5.0)),
+            engine.Parameter("store", 60.0, "kW min/K", (1.0, 1e3)),
+            engine.Parameter("q", 1e-3, "K^2/min", (1e-9, 10.0)),
+            engine.Parameter("r", 0.01, "K^2", (1e-9, 10.0)),
+        ],
+    )
+
+
+def measured_store(seed, opened):
+    """Readings every minute by steps of 3 s; through an open door the loss is ``opened`` kW/K larger."""
+    rng, n = np.random.default_rng(seed), 500
+    cooling = np.repeat(rng.choice([3.0, 13.0], n // 20), 20)
+    outside = 20.0 + 4.0 * np.sin(np.arange(n) / 80.0)
+    x, y, dt = -15.0, np.empty(n), 0.05
+    for k in range(n):
+        y[k] = x + 0.1 * rng.standard_normal()
+        loss = 0.2 + opened * (200 <= k < 280)
+        for _ in range(20):
+            x += dt * (loss * (outside[k] - x) - cooling[k]) / 50.0
+            x += 0.03 * np.sqrt(dt) * rng.standard_normal()
+    return engine.Series(y, np.column_stack([cooling, outside]), dt=1.0, time_unit="min")
+
+
+@pytest.mark.slow
+def test_what_a_door_lets_in_depends_on_how_cold_it_is():
+    """As a force that is always the same it needed a stiffness beside it that is not there."""
+    (cause,) = (found := diagnose(cold_store(), measured_store(1, 0.3), seed=1)).causes
+    assert found.verdict.value == "named"
+    assert cause.effect == "parameter-episode:loss"
+    values = cause.parameters
+    assert values["parameter_episode_loss_time"] == pytest.approx(200.0, abs=2.0)
+    assert values["parameter_episode_loss_end"] == pytest.approx(280.0, abs=2.0)
+    assert cause.size == pytest.approx(0.3, abs=0.03)
+
+
+@pytest.mark.long
+def test_the_screen_tells_a_larger_loss_from_a_force():
+    model, series = cold_store(), measured_store(2, 0.3)
+    fit = quasi_ml(model, series)
+    setting = setting_for(fit.model, series, np.asarray(fit.theta))
+    kinds = ["episode", "parameter-episode"]
+    seen = screen_effects(fit, series, setting, kinds, 0.05, 1, lambda *_: None)
+    assert seen.scores[0].effect.name == "parameter-episode:loss"
+    assert seen.scores[0].at == pytest.approx((200.0, 280.0), abs=3.0)
+
+
 @pytest.mark.slow
 def test_a_door_open_for_half_of_the_record_is_no_step_beside_another_episode():
     kinds = ["episode", "step", "pulse", "variance", "level"]

@@ -188,6 +188,11 @@ def off_the_line(s, sharpness):
     ("name", "own", "damping"),
     [
         ("parameter-step:damping", [0.5, 2.5], lambda t: 1.0 + 0.5 * (t >= 2.5)),
+        (
+            "parameter-episode:damping",
+            [0.5, 1.0, 2.5],
+            lambda t: 1.0 + 0.5 * ((t >= 1.0) & (t < 2.5)),
+        ),
         ("parameter-drift:damping", [0.5, 2.0, 4.0], lambda t: 1.0 + 0.5 * (t - 2.0) / 4.0),
         (
             "parameter-bend:damping",
@@ -247,6 +252,12 @@ def test_only_the_zero_is_set_free_and_only_jumps_are_sought():
     assert held.sought == ()
     assert make_effect("step:speed", SETTING).sought == ("step_speed_time",)
     assert make_effect("parameter-step:damping", SETTING).sought == ("parameter_step_damping_time",)
+    while_it_lasts = make_effect("parameter-episode:damping", SETTING)
+    assert while_it_lasts.held == ()
+    assert while_it_lasts.sought == (
+        "parameter_episode_damping_time",
+        "parameter_episode_damping_end",
+    )
 
 
 LOUDER = np.exp(0.4)

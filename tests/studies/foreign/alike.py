@@ -34,6 +34,7 @@ from tests.studies.foreign.sizes import fit_base, size_of, without
 TIMED = (
     "step",
     "parameter-step",
+    "parameter-episode",
     "parameter-drift",
     "input-gain-step",
     "gain-step",

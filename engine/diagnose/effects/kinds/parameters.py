@@ -11,13 +11,27 @@ from engine.data.series import Series
 from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds.odds import only_drives
-from engine.diagnose.effects.kinds.time import from_when, lasting, over_the_record, since
+from engine.diagnose.effects.kinds.time import (
+    during,
+    ends,
+    from_when,
+    lasting,
+    over_the_record,
+    since,
+)
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter, Theta
 from engine.units import product
 
 ONTO = "->"
+SOUGHT = {Course.STEP: 1, Course.EPISODE: 2, Course.DRIFT: 0}  # times that are estimated
+_USUAL = {"cubic": "depends on the state", "step": "changes once, whatever the state"}
+LOOK_ALIKES = {
+    Course.STEP: _USUAL | {"parameter-episode": "is over again"},
+    Course.EPISODE: {"episode": "is the same whatever the state", "parameter-step": "stays"},
+    Course.DRIFT: _USUAL,
+}
 
 # (t, u, the effect's own values) -> what is added to the parameter
 CourseOf = Callable[[Any, Any, Sequence[Any]], Any]
@@ -73,41 +87,37 @@ def unit_of(setting: Setting, channel: str) -> str:
     return setting.model.parameters[setting.model.parameter_names.index(channel)].unit
 
 
-def _change(kind: str, title: str) -> Kind:
-    """A parameter that steps at a time, or drifts linearly through the record."""
+def _change(when: Course, further_of: Callable[[str, Setting], list[Parameter]]) -> Kind:
+    """A parameter that steps at a time, is another one for a while, or drifts linearly through the record."""
+    title, drifts = when.value, when is Course.DRIFT
+    kind = f"parameter-{title}"
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
-        steps = kind == "parameter-step"
-        further = from_when(name, setting) if steps else over_the_record(name, setting)
+        further = further_of(name, setting)
+        formulas = {
+            Course.STEP: f"[t >= {name}_time]{lasting(further)}",
+            Course.EPISODE: f"[{name}_time <= t < {name}_end]",
+            Course.DRIFT: f"(t - {name}_middle) / {name}_per{setting.counted}",
+        }
 
         def course(t: Any, u: Any, own: Sequence[Any]) -> Any:
-            if steps:
-                return own[0] * since(t, own[1:], setting.later)
-            return own[0] * ((setting.anew(t) - own[1]) / own[2])
+            if drifts:
+                return own[0] * ((setting.anew(t) - own[1]) / own[2])
+            return own[0] * (since if when is Course.STEP else during)(t, own[1:], setting.later)
 
         return Effect(
             kind,
             channel,
             "time",
             f"{title} of the parameter {channel}",
-            f"{channel} -> {channel} + {name} * "
-            + (
-                f"[t >= {name}_time]{lasting(further)}"
-                if steps
-                else f"(t - {name}_middle) / {name}_per{setting.counted}"
-            ),
+            f"{channel} -> {channel} + {name} * {formulas[when]}",
             (Parameter(name, 0.0, unit_of(setting, channel), description=title), *further),
-            running_parameter(setting, channel, course, within_steps=not steps),
+            running_parameter(setting, channel, course, within_steps=drifts),
             probes=(tuple(p.default for p in further),),
-            held=tuple(p.name for p in further[steps:]),
-            look_alikes={
-                "cubic": "depends on the state",
-                "step": "changes once, whatever the state",
-            },
+            held=tuple(p.name for p in further[SOUGHT[when] :]),
+            look_alikes=LOOK_ALIKES[when],
             runs=course,
-            traits=Traits(
-                Course.STEP if steps else Course.DRIFT, of_parameter=True, swallowed=steps
-            ),
+            traits=Traits(when, of_parameter=True, swallowed=when is Course.STEP),
         )
 
     return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
@@ -166,7 +176,8 @@ def _each_slope(setting: Setting) -> Iterator[str]:
 
 
 KINDS: list[Kind] = [
-    _change("parameter-step", "step"),
-    _change("parameter-drift", "drift"),
+    _change(Course.STEP, from_when),
+    _change(Course.EPISODE, ends),
+    _change(Course.DRIFT, over_the_record),
     ("parameter-slope", _slope, _each_slope),
 ]

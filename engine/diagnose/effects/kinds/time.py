@@ -162,12 +162,13 @@ def _width(name: str, setting: Setting) -> list[Parameter]:
     return [*_when(name, setting), width]
 
 
-def _during(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
+def during(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
     """1 from the sample at own[0] on, to before the one at own[1]."""
     return 1.0 * ((t >= own[0]) & (t < own[1]))
 
 
-def _ends(name: str, setting: Setting) -> list[Parameter]:
+def ends(name: str, setting: Setting) -> list[Parameter]:
+    """When an episode begins, and when it is over."""
     first, last = setting.span
     within = setting.limits(first, last, -np.inf)
     begin, end = (first + share * (last - first) for share in (0.45, 0.55))
@@ -206,9 +207,13 @@ KINDS: list[Kind] = [
         "episode",
         "episode",
         "[time <= t < end]",
-        _during,
-        _ends,
-        {"step": "stays", "pulse": "lasts one sample"},
+        during,
+        ends,
+        {
+            "step": "stays",
+            "pulse": "lasts one sample",
+            "parameter-episode": "alters how the model answers",
+        },
         traits=Traits(Course.EPISODE),
     ),
     _signal(
