@@ -34,11 +34,9 @@ def as_one_event(found: Search, series: Series) -> tuple[Search, str]:
 
     Of more than two that came at different times all but one are tried.
     """
+    # of several records each has a clock; outliers are judged by another filter
     if series.begins or any(one.effect.traits.outliers for one in found.named):
-        return (
-            found,
-            "",
-        )  # of several records each has a clock; outliers are judged by another filter
+        return found, ""
     known = found.final.model.parameter_names
     steps = [one.effect for one in found.named if one.effect.traits.course is Course.STEP]
     steps = [effect for effect in steps if _time(effect) in known]

@@ -8,10 +8,11 @@ As documented. Before, the random walk of the level stands in for the step, and 
 ahead; with it the walk's variance goes to zero. The likelihood decides: the base's own noise makes free runs
 as wrong as this one.""",
     "seatbelts": """\
-As documented, size and row, and a set: since episodes are looked for, one that begins at the same row and is
-over again before the record ends gains 4 more of 2 x log-likelihood, with a parameter more. Noise explains
-what the free run gets wrong, so the likelihood decides. On blocks left out nothing is gained one step ahead,
-where the random walk has followed the step after a few months.""",
+Not named, by a hair: the step is where it is documented, but the whole catalogue may show as much by chance
+once in 17 times (p = 0.06; 0.049 when this row was last made). Every kind that changes a parameter is a dozen
+more candidates here, as eleven of the parameters are months. The alarm is right as such: of 120 series drawn
+from the model 4.1 % show as much as the record in the screen (said: 4.0 %), which has 70 % of the level. Asked
+for steps, pulses, ramps and drifts alone, it names the step, its row and its size.""",
     "emps": """\
 As documented: the model's own friction, 18.3 N, and its own offset, -3.2 N, which were held at zero. Instead of
 them Coulomb or Stribeck friction as an effect, a dead zone, a saturation, a product of velocity and drive, and
