@@ -53,7 +53,7 @@ def test_nothing_acts_on_a_state_that_only_scales_noise():
     names = [effect.name for effect in all_effects(Setting(known))]
     usual = [effect.name for effect in all_effects(Setting(tanks))]
     assert not [name for name in names if "g_glitch" in name]
-    more = {"parameter-step:glitch_share", "parameter-drift:glitch_share"}
+    more = {f"parameter-{way}:glitch_share" for way in ("step", "episode", "drift")}
     more |= {one.replace("share", "ratio") for one in more}
     assert set(names) == {*usual, *more}
 

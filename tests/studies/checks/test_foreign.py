@@ -332,7 +332,7 @@ def test_a_series_is_diagnosed_in_both_units(short, monkeypatch, effects):
 @pytest.mark.long
 def test_where_the_plant_runs_away_another_draw_is_made():
     cell = cells.cell_of("pendulum:cubic@ordinary")
-    over_the_top = [runs.JUDGED, 64, runs.STREAMS["inside"], 86]
+    over_the_top = [runs.JUDGED, 64, 2, 86]
     size = sizes.size_of(cell)
     with pytest.raises(OverflowError):
         simulate(cell.plan.plant, 500, over_the_top, cell.level, cell.what, size)
