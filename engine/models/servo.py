@@ -98,7 +98,6 @@ MODEL = MixedModel(
     nonlinear={"velocity": "m/s"},
     linear={"position": "m", "load": "N"},
     kinematic=("position",),
-    continuous=True,
     inputs={"drive": "V"},
     outputs={"y": "m"},
     reference=dict.fromkeys(("load", "drive"), 0.0),  # a position has none

@@ -152,7 +152,7 @@ def other_step(a, u, t, dt, theta):
         ("measurement", other_reading),
         ("initial", other_start),
         ("dynamics", other_step),
-        ("continuous", False),
+        ("continuous", True),
         ("outputs", {"y": "mm"}),
     ],
 )

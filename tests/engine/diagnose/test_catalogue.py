@@ -422,10 +422,7 @@ def test_a_model_without_effects_is_not_called():
 
 def test_equations_are_of_derivatives_where_those_of_the_model_are():
     """In a model of ``engine.continuous`` x' is the derivative: an extension typed in is the one found."""
-    tanks, stepping = (
-        engine.get_model("tanks"),
-        replace(engine.get_model("servo"), continuous=False),
-    )
+    tanks, servo = engine.get_model("tanks"), engine.get_model("servo")
     named = {one.name: one.equation for one in all_effects(Setting(tanks))}
     assert not [text for text in named.values() if re.search(r"\bdt\b", text)]
     assert named["drag:upper"] == "upper' = ... + drag_upper * -upper|upper|"
@@ -439,7 +436,7 @@ def test_equations_are_of_derivatives_where_those_of_the_model_are():
     assert extended.equations[-1] == f"drag:upper: {named['drag:upper']}"
     knots = free_function(Setting(tanks), "upper", "lower", np.arange(3.0), np.eye(3))
     assert knots.equation == "lower' = ... + function_upper_lower(upper)"
-    of_steps = make_effect("drag:velocity", Setting(stepping)).equation
+    of_steps = make_effect("drag:velocity", Setting(servo)).equation
     assert of_steps == "velocity' = ... + dt * drag_velocity * -velocity|velocity|"
 
 
