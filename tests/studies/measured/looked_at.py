@@ -21,16 +21,16 @@ a drift of the reading run nearly alike on a record that repeats one movement, s
 another record can part them. With friction and offset alone least squares gives 18.4 and -3.2 N and 5.9 mm on
 the pulses, in steps of any length since friction is exact within one, and 5.8 mm on all 24,841 samples at 1
 kHz. The 5.01 mm of this row before was luck of its steps: one sample in 20 gave 7.9 then.
-One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would end
-with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run as well (3.76
-mm). Its careful setting names one that is not there.
-Readings are thinned. By code before this row's, of every 8th sample the load's random walk that is fitted one step ahead would make free
-runs 100 times as wrong as this one is; so the free run is asked, and ends in a larger set with the same two in
-it (15 mm on the pulses, 96 before). At the full rate the free run looks at one sample in 28 of the whole record
-and ends in a set of pairs, among which are the held offset with a dead zone of the velocity, Coulomb friction
-with a force on the square of the velocity, and the held Fc; led by a saturation of the input with a dead zone
-(24 mm on the pulses, the likelihood's part cut short). Until now four stretches of a second were looked at,
-which are too short to tell (p = 0.06), and nothing was named.""",
+One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would
+end with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run as well
+(3.76 mm). Its careful setting names one that is not there.
+Readings are thinned. By code before this row's, of every 8th sample the load's random walk that is fitted one
+step ahead would make free runs 100 times as wrong as this one is; so the free run is asked, and ends in a
+larger set with the same two in it (15 mm on the pulses, 96 before). At the full rate the free run looks at
+one sample in 28 of the whole record and ends in a set of pairs, among which are the held offset with a dead
+zone of the velocity, Coulomb friction with a force on the square of the velocity, and the held Fc; led by a
+saturation of the input with a dead zone (24 mm on the pulses, the likelihood's part cut short). Until now
+four stretches of a second were looked at, which are too short to tell (p = 0.06), and nothing was named.""",
     "silverbox": """\
 As documented: the cubic spring, k3 / k1 = 4.0 V^-2, an offset, and the direct path from the input to the
 reading. A constant force and an offset of the input run alike, and are one answer. On the multisine the error
