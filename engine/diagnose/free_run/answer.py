@@ -37,7 +37,7 @@ ROUNDS = 3
 SHOWN = 5  # look-alikes listed at most
 LEFT = 0.05  # of the free run's error before: so little is not worth another round
 LITTLE = 4.0  # 2 x log-likelihood, as one parameter gains by chance
-MOST = 3  # effects that are trusted, a pair and what only shows beside it; more stand for something else
+TRUSTED = 3  # effects at most, a pair and what only shows beside it; more stand for something else
 UNEXPLAINED = 0.5  # of the same: with so much left beyond noise, no name settles it
 CALLED_FOR = 0.25  # of the squared error of the others: what is found takes as much, or one record calls for it
 
@@ -81,7 +81,7 @@ class FreeRunSearch:
     def is_patchwork(self) -> bool:
         """Whether it takes more effects than are trusted."""
         added = (effect for chosen in self.found for effect in chosen.added)
-        return len(counted(e for e in added if not as_foreseen(e, self.after))) > MOST
+        return len(counted(e for e in added if not as_foreseen(e, self.after))) > TRUSTED
 
     @property
     def verdict(self) -> Verdict:

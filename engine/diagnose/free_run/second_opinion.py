@@ -18,7 +18,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import (
-    MOST,
+    TRUSTED,
     FreeRunSearch,
     noise_fit,
     search_free_runs,
@@ -267,7 +267,7 @@ def _decided(
     if found.is_patchwork:
         reason += (
             " What it found looks like patches on a cause that is not in the catalogue: more than "
-            f"{MOST} effects are needed, so none is named."
+            f"{TRUSTED} effects are needed, so none is named."
         )
     return True, f"{reason}{_of_one_record(found.alone)}"
 

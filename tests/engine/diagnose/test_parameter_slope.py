@@ -67,18 +67,15 @@ def record(slope, seed=1):
     )
 
 
+def asked(model, **options):
+    """The record in which the loss grows with the wind, looked at in whole."""
+    return diagnose(model, record(SLOPE), effects=KINDS, processes=1, held_out=0, **options)
+
+
 @pytest.mark.long
 def test_a_loss_that_grows_with_a_wind_nobody_modelled_is_named_with_its_slope():
     """Without the kind it was a path, a product and an input of its own, one after another."""
-    found = diagnose(
-        PANEL,
-        record(SLOPE),
-        theta={"capacity": CAPACITY},
-        free=FREE,
-        effects=KINDS,
-        processes=1,
-        held_out=0,
-    )
+    found = asked(PANEL, theta={"capacity": CAPACITY}, free=FREE)
     assert found.verdict.value == "named"
     (cause,) = found.causes
     assert cause.effect == "parameter-slope:wind->loss"
@@ -89,7 +86,7 @@ def test_a_loss_that_grows_with_a_wind_nobody_modelled_is_named_with_its_slope()
 @pytest.mark.long
 def test_a_size_that_is_tied_as_the_whole_model_is_keeps_its_name():
     """The panel's own parameters show in ratios only, and the slope with them: that it is none is ruled out."""
-    found = diagnose(PANEL, record(SLOPE), effects=KINDS, processes=1, held_out=0)
+    found = asked(PANEL)
     assert found.verdict.value == "named"
     (cause,) = found.causes
     assert cause.effect == "parameter-slope:wind->loss"
@@ -110,15 +107,7 @@ def bounded(most):
 @pytest.mark.long
 def test_a_bound_that_holds_back_what_changes_is_said():
     """A heat pump's COP went to 4.2 and had the bound 3.5: a second way of its power was named."""
-    found = diagnose(
-        bounded(23.0),
-        record(SLOPE),
-        theta={"capacity": CAPACITY},
-        free=FREE,
-        effects=KINDS,
-        processes=1,
-        held_out=0,
-    )
+    found = asked(bounded(23.0), theta={"capacity": CAPACITY}, free=FREE)
     assert "parameter-slope:wind->loss" in [cause.effect for cause in found.causes]
     (said,) = [one for one in found.stopped if "parameter-slope:wind->loss a bound" in one]
     assert "Wider bounds" in said
