@@ -91,7 +91,7 @@ def second_opinion(
     ``enough`` tells whether their steps are short enough for a fit with effects.
     """
     base, named = causes.base, [r.refits[0] for r in causes.search.rounds if r.equivalent]
-    given = [_without_outliers(base, named, one, seed) for one in given]
+    whole, given = given, [_without_outliers(base, named, one, seed) for one in given]
     patches = any(refit.effect.family == "noise" for refit in named)
     patches = patches and not causes.search.has_noise_apart
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
@@ -122,10 +122,10 @@ def second_opinion(
                 by_name = _beside(causes.search.final, records, given, held, kinds)
                 left = by_name.alarm(seed, alpha)
                 if left.p_value <= alpha:
-                    reason = f"{_stands_for_more(left)}{_part(records, given)}"
+                    reason = f"{_stands_for_more(left)}{_part(records, given, whole)}"
                     return SecondOpinion(*said, False, reason, left, refutes=True)
             extended = settled and bool(named)
-            reason = f"{_noise_explains(seen, level, extended)}{_part(records, given)}"
+            reason = f"{_noise_explains(seen, level, extended)}{_part(records, given, whole)}"
             # a function of a signal follows what noise did, too, wherever noise adds up
             missing = None if settled or seen.p_value >= UNLIKELY else beside.missing()
             return SecondOpinion(*said, False, reason, seen, missing=missing)
@@ -144,7 +144,7 @@ def second_opinion(
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")
     decides, reason = _decided(causes, settled, named, found)
-    reason = f"{reason}{_part(records, given)}"
+    reason = f"{reason}{_part(records, given, whole)}"
     return SecondOpinion(*said, decides, reason, seen, found, found.missing)
 
 
@@ -340,16 +340,19 @@ def _displaced(named: Sequence[Refit], first: FreeRound) -> bool:
     return bool(own) and chosen is not None and chosen.held_out < FAR_BETTER * own[0].held_out
 
 
-def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
-    """Which part of long records was looked at, as a further sentence."""
+def _part(records: Sequence[Series], given: Sequence[Series], whole: Sequence[Series]) -> str:
+    """What of the ``whole`` records was looked at, as further sentences; ``given`` have no outliers."""
+    read, left = (sum(int(one.observed.sum()) for one in some) for some in (whole, given))
+    gone = f" Outliers, {read - left} of {read} readings, were left out." if left < read else ""
     seen, every = (sum(len(one.samples) for one in some) for some in (records, given))
     if seen == every:
-        return ""
+        return gone
     if fewer := thinned_by(records[0], given[0]):
         return (
             f" It was looked at on one in {fewer} of {every} samples; those between say the same."
+            f"{gone}"
         )
-    return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."
+    return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches.{gone}"
 
 
 def _noise_explains(seen: Alarm, level: float, extended: bool = False) -> str:

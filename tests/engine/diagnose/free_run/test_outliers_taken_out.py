@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.free_run.second_opinion import _without_outliers
+from engine.diagnose.free_run.second_opinion import _part, _without_outliers
 from engine.diagnose.search.pipeline import find_causes
 
 MODEL = engine.get_model("oscillator")
@@ -28,3 +28,6 @@ def test_they_are_missing_from_what_it_is_asked_of():
     assert set(ROWS) <= set(gone.tolist())
     assert len(gone) <= len(ROWS) + 5  # and a few of the ordinary tail
     assert _without_outliers(found.base, [], outlying, 1) is outlying
+    said = _part([asked], [asked], [outlying])
+    assert said == f" Outliers, {len(gone)} of 300 readings, were left out."
+    assert _part([outlying], [outlying], [outlying]) == ""
