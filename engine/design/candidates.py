@@ -16,7 +16,7 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.likeness import rank
-from engine.diagnose.refits.refit import further_parameters
+from engine.diagnose.refits.refitted import further_parameters
 from engine.errors import OptionError
 from engine.statespace.model import Array, MixedModel, ThetaLike
 

@@ -28,7 +28,7 @@ from engine.diagnose.judging.judgement import NAMES, has_tails
 from engine.diagnose.judging.verdict import named_by, names_of
 from engine.diagnose.records import Records
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round, settle
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes

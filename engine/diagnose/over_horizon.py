@@ -15,7 +15,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.screening.noise_parameters import noise_only
 from engine.diagnose.symptoms.compare import settled_from
 from engine.diagnose.symptoms.runs import noise_free, start_state

@@ -14,7 +14,7 @@ from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import NAMES
 from engine.diagnose.judging.verdict import RULED_OUT, named_by
 from engine.diagnose.over_horizon import OverHorizon
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.words import enumerated
 

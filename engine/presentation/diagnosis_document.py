@@ -12,7 +12,7 @@ from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.gain.adoption import in_full, in_short
 from engine.diagnose.refits.latent_force import UnnamedForce
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.symptoms.curves import named, rounded
 from engine.estimation.quasi_ml import QuasiFit
 from engine.json_values import plain

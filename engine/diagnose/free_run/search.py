@@ -22,7 +22,7 @@ from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_ef
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.refits.likeness import as_foreseen, rank
-from engine.diagnose.refits.refit import LEAST_ERRORS
+from engine.diagnose.refits.refitted import LEAST_ERRORS
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array, Theta

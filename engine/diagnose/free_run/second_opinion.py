@@ -37,7 +37,7 @@ from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import NAMES
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.search import part_of, without_outliers

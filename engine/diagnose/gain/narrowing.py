@@ -11,7 +11,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.noise_parameters import noise_of
 from engine.estimation.quasi_ml import QuasiFit, derivatives, quasi_ml

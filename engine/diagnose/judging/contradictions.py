@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.refits.refit import LEAST_ERRORS, Refit
+from engine.diagnose.refits.refitted import LEAST_ERRORS, Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.estimation.quasi_ml import QuasiFit

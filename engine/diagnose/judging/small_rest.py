@@ -18,7 +18,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.likeness import as_foreseen
-from engine.diagnose.refits.refit import Refit, finished
+from engine.diagnose.refits.refitted import Refit, finished
 from engine.diagnose.refits.rounds import FORESEEN, Round
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.symptoms.runs import noise_free, start_state

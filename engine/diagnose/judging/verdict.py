@@ -22,7 +22,7 @@ from engine.diagnose.judging.findings import (
 from engine.diagnose.refits.amplitude import amplitude_of
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.likeness import as_foreseen, merely_wider
-from engine.diagnose.refits.refit import Refit, further_parameters
+from engine.diagnose.refits.refitted import Refit, further_parameters
 from engine.diagnose.refits.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.screening.screen import Screen

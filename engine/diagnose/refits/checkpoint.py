@@ -23,7 +23,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import effect_kinds
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.records import Records
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.screening.screen import Score, Screen
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import QuasiFit

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.refits.refit import TOLERANCE, Refit, cost
+from engine.diagnose.refits.refitted import TOLERANCE, Refit, cost
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.statespace.model import Theta

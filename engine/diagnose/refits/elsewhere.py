@@ -19,7 +19,8 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.refits.checkpoint import Kept
-from engine.diagnose.refits.refit import Refit, cost, refit
+from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.refitted import Refit, cost
 from engine.diagnose.screening.screen import Score, Screen
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.refits.refit import Refit, cost
+from engine.diagnose.refits.refitted import Refit, cost
 from engine.diagnose.refits.rounds import MARGIN, Round
 from engine.estimation.quasi_ml import QuasiFit
 

@@ -19,7 +19,7 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.checkpoint import NOTHING, Kept
-from engine.diagnose.refits.refit import TOLERANCE, Refit, cost, free_parameters
+from engine.diagnose.refits.refitted import TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.refits.rounds import FORESEEN, Round, settle
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.symptoms.runs import smoothed
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array

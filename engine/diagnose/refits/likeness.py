@@ -9,7 +9,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.rates import moved_by
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.refits.refit import Refit, held_out_terms
+from engine.diagnose.refits.refitted import Refit, held_out_terms
 from engine.errors import EngineError
 from engine.statespace.model import Theta
 

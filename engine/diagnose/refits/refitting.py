@@ -17,15 +17,8 @@ from engine.diagnose.effects.traits import Course
 from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.echoes import without_echoes
 from engine.diagnose.refits.elsewhere import bent
-from engine.diagnose.refits.refit import (
-    Refit,
-    Way,
-    cost,
-    further_parameters,
-    refit,
-    taken_up,
-    way_of,
-)
+from engine.diagnose.refits.refit import Way, refit, taken_up, way_of
+from engine.diagnose.refits.refitted import Refit, cost, further_parameters
 from engine.diagnose.refits.rounds import Round, settle
 from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress

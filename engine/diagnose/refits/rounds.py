@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.likeness import as_foreseen, distinct, rank, repaired_elsewhere
-from engine.diagnose.refits.refit import Refit, further_parameters
+from engine.diagnose.refits.refitted import Refit, further_parameters
 from engine.diagnose.screening.screen import Screen
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e

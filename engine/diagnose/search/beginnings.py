@@ -15,7 +15,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.refits.found import Search, size_cost
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import FORESEEN, MARGIN, Round
 from engine.diagnose.screening.screen import Screen
 

@@ -37,7 +37,8 @@ from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.elsewhere import from_elsewhere
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.joint_refit import STAGE, look_back
-from engine.diagnose.refits.refit import Refit, cost, finished, with_tails
+from engine.diagnose.refits.refit import with_tails
+from engine.diagnose.refits.refitted import Refit, cost, finished
 from engine.diagnose.refits.refitting import (
     FOLLOWED,
     confirmed,

@@ -20,7 +20,7 @@ from engine.diagnose.effects.catalogue import extend, make_effect
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.checkpoint import Kept
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import MARGIN, Round, settle
 from engine.diagnose.steps.substeps import can_be_finer, have_finer
 from engine.errors import EngineError

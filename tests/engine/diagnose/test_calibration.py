@@ -21,7 +21,7 @@ from engine.diagnose.refits.calibration import (
     sequential_p,
     swallowed_of_simulated,
 )
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.refitting import REFITTED, swallowed_p
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import make_test, screen

@@ -18,7 +18,7 @@ from engine.diagnose.judging.contradictions import (
     undetermined,
 )
 from engine.diagnose.judging.verdict import _look_alikes
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.search.pipeline import find_causes
 from engine.estimation.quasi_ml import QuasiFit
 from tests.engine.hidden_effects import DRIVE, hidden

@@ -7,7 +7,7 @@ import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.echoes import without_echoes
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import oven
 

@@ -11,7 +11,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.judging.verdict import detectable_of
 from engine.diagnose.refits import refitting
 from engine.diagnose.refits.elsewhere import REFITS, _asked, bent
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.screening.screen import Score, Screen
 from tests.engine.hidden_effects import DRIVE, hidden
 from tests.engine.plain_models import absorption

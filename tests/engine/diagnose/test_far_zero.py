@@ -7,8 +7,9 @@ from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.of_series import setting_for
-from engine.diagnose.refits import refit as module
-from engine.diagnose.refits.refit import cost, refit
+from engine.diagnose.refits import forms as module
+from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.refitted import cost
 from engine.diagnose.screening.screen import Score
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import Units, mixer, referred

@@ -9,7 +9,7 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import _led
 
 BEND, FORCE = "quadratic:position->velocity", "force:velocity"  # its zero is estimated

@@ -9,7 +9,7 @@ import pytest
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits import likeness, refitting
-from engine.diagnose.refits import refit as refits_of
+from engine.diagnose.refits import refitted as refits_of
 from engine.diagnose.refits.likeness import NEEDED, TIE, distinct
 from engine.diagnose.refits.rounds import settle
 from tests.engine.hidden_effects import DRIVE

@@ -10,7 +10,7 @@ from engine.diagnose.gain.narrowing import narrowed
 from engine.diagnose.judging.findings import AS_LIKELY, CONTRADICTED
 from engine.diagnose.judging.verdict import _look_alikes
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import MARGIN, Round
 from tests.engine.hidden_effects import DRIVE
 

@@ -11,7 +11,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.judging.one_event import as_one_event
 from engine.diagnose.judging.verdict import patchwork, verdict_of
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.estimation.quasi_ml import quasi_ml
 

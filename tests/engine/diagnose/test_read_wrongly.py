@@ -8,7 +8,7 @@ from engine import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.search.between_samples import read_wrongly
 from engine.estimation.quasi_ml import quasi_ml

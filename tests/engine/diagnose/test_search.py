@@ -11,7 +11,8 @@ from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.refits.refit import Refit, cost, refit
+from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.refitted import Refit, cost
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import Score, make_test, screen

@@ -15,7 +15,7 @@ from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.small_rest import main_alone
 from engine.diagnose.judging.verdict import doubts, patchwork, verdict_of
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.pipeline import find_causes

@@ -10,7 +10,7 @@ from engine.diagnose import make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.judging.verdict import cause_of, named_by, set_of
 from engine.diagnose.refits import joint_refit
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.search.pipeline import find_causes
 from tests.engine.hidden_effects import DRIVE, levels
 

@@ -16,7 +16,7 @@ from engine.diagnose.judging.verdict import (
     verdict_of,
 )
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.screen import Score
 from tests.engine.hidden_effects import DRIVE

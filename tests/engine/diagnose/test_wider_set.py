@@ -11,7 +11,7 @@ from engine.diagnose.held_out import Judged
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.over_horizon import Candidate, OverHorizon
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.wider_set import widened
 from tests.engine.hidden_effects import DRIVE

@@ -21,7 +21,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.judging.findings import AS_LIKELY, LESS_LIKELY, SAME
 from engine.diagnose.refits.latent_force import UnnamedForce, unnamed_force
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.symptoms.residuals import autocorrelation
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.linear_2 import MODEL as LINEAR

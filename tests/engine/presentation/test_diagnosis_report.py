@@ -27,7 +27,7 @@ from engine.diagnose.gain.gain import (
 from engine.diagnose.gain.simulation_gain import OutputGain, bootstrap_means, noise_level
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.verdict import set_of
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import UNNAMED_MARGIN, Round
 from engine.diagnose.symptoms.runs import start_state
 from engine.estimation.quasi_ml import quasi_ml

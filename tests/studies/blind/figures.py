@@ -12,7 +12,7 @@ import numpy as np
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.kinds.colored import LATENT
-from engine.diagnose.refits.refit import further_parameters
+from engine.diagnose.refits.refitted import further_parameters
 from engine.statespace.model import Array
 from tests.studies.blind.bases import typical
 from tests.studies.statistics import wilson

@@ -17,7 +17,8 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.judging.verdict import set_of
 from engine.diagnose.refits.bootstrap import bootstrap_p
 from engine.diagnose.refits.calibration import Question
-from engine.diagnose.refits.refit import Refit, held_out_terms, refit
+from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.refitted import Refit, held_out_terms
 from engine.diagnose.refits.rounds import Round
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.pipeline import Causes, find_causes

@@ -18,7 +18,8 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.refits.refit import Refit, refit
+from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.screening.screen import Score
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
