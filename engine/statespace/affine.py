@@ -28,7 +28,8 @@ RANK = 1e-6  # of the largest: directions in which the inputs differ by less are
 ROUNDING = 1e-13  # of the terms of which a value is the sum
 MARGIN = 0.1  # of the range of inputs: further out all are looked at, not the extreme ones only
 SAME = 1e-12  # of each entry of a matrix: what calls of one theta may differ by
-STEPS = 3  # time steps of different length in a call that are worth it
+STEPS = 3  # time steps of different length in a call that are worth it ...
+THETAS = 4  # ... and values of a parameter: a drift has another one in every row
 REMEMBERED = 512  # parameter vectors
 OFTEN = 4  # times as many parameter vectors until all inputs are looked at again
 FIRST = 16  # inputs met one by one until they are looked at, then again at four times as many
@@ -75,10 +76,17 @@ class Affine:
         if self._inputs is None:
             self._record = u
 
+    @staticmethod
+    def takes_long(rows: Rows, kind: Kind) -> bool:
+        """Whether rows differ in so many time steps or parameters that calls for each are many."""
+        steps = len(np.unique(rows.dt)) if kind.dt else 1
+        return steps > STEPS or any(len(np.unique(rows.theta[i])) > THETAS for i in kind.fields)
+
     def rows(self, rows: Rows, kind: Kind) -> Result | None:
         """The results of rows of any inputs and parameters; None where they must be called one by one."""
-        irregular = kind.dt and len(np.unique(rows.dt)) > STEPS
-        if not self.holds or irregular or not isinstance(rows.u, np.ndarray):
+        if not self.holds or not isinstance(rows.u, np.ndarray):
+            return None
+        if kind.dt and len(np.unique(rows.dt)) > STEPS:
             return None
         M = len(rows.a)
         u = rows.u.T if kind.u else np.repeat(rows.u[None], M, axis=0)

@@ -15,8 +15,8 @@ else, it is decided which calls a function takes:
   its calls, is refused.
 - Where a function that fails has no nonlinear state, reads no times and is affine in the inputs, a few calls
   tell the rest (:mod:`engine.statespace.affine`).
-- Any other that fails is evaluated by what was recorded of it (:mod:`engine.statespace.recorded`), which is
-  compared with calls of single rows in the same way.
+- Any other that fails, and that one too for rows of many parameter vectors or time steps, is evaluated by what
+  was recorded of it (:mod:`engine.statespace.recorded`), which is compared with calls of single rows likewise.
 - Where that fails too, it is called for each time and parameter vector by itself from then on, which is
   slower and always right; rows that differ only in what it does not read are one call. Where results were
   handed out before a failure was seen, what was made of them is made again
@@ -190,7 +190,7 @@ class ModelFunction:
             known = self._affine.step(plan, u, dt)
             if known is not None:
                 return known
-        if self._may_be_recorded(self._verdict, a):
+        if self._may_be_recorded(self._verdict, a, kind):
             return self._with_care(Rows(a, u, t, dt, theta), kind, self._verdict)
         return self._part_by_part(plan, a, u, t, dt)
 
@@ -241,7 +241,11 @@ class ModelFunction:
 
     def _with_care(self, rows: Rows, kind: Kind | None, verdict: Verdict) -> Result:
         """Together if that is right, else each time and theta by itself."""
-        if kind is not None and not (verdict.takes or self._may_be_recorded(verdict, rows.a)):
+        if (
+            kind is not None
+            and not verdict.takes
+            and not self._may_be_recorded(verdict, rows.a, kind)
+        ):
             return self._apart(rows, kind)
         if kind is None and self._looped and len(rows.a) > 1:
             self._look_at_loop(verdict, rows)
@@ -294,16 +298,16 @@ class ModelFunction:
             placed=True,
         )
 
-    def _may_be_recorded(self, verdict: Verdict, a: Array) -> bool:
+    def _may_be_recorded(self, verdict: Verdict, a: Array, kind: Kind) -> bool:
         """Turn to what was recorded of a function that is called row by row so far; whether that is new."""
-        left = self._is_left_to_record(verdict, a)
+        left = self._is_left_to_record(verdict, a, kind)
         if left:
             verdict.restart(self._recorded)
         return left
 
-    def _is_left_to_record(self, verdict: Verdict, a: Array) -> bool:
+    def _is_left_to_record(self, verdict: Verdict, a: Array, kind: Kind) -> bool:
         """Whether it was not tried yet, and few calls do not tell all."""
-        affine = self._affine is not None and self._affine.holds and not a.shape[1]
+        affine = self._affine is not None and self._affine.holds and not (a.shape[1] or kind.many)
         return not affine and verdict.trial is not self._recorded
 
     def _look_at_loop(self, verdict: Verdict, rows: Rows) -> None:
@@ -347,9 +351,11 @@ class ModelFunction:
         if kind is not None and kind not in self._verdicts:
             self._first_look(rows)
         verdict = self._verdicts.get(kind)  # a single row needs none
-        if verdict is not None and not verdict.takes and self._is_left_to_record(verdict, a):
+        if verdict is None or kind is None or verdict.takes:
+            return True
+        if self._is_left_to_record(verdict, a, kind):
             self._first_look(rows)
-        return verdict is None or verdict.takes
+        return verdict.takes
 
     @property
     def recorded(self) -> bool:
@@ -369,9 +375,12 @@ class ModelFunction:
 
     def _kind_of(self, rows: Rows) -> Kind | None:
         try:
-            return rows.kind()
+            kind = rows.kind()
         except ValueError as error:
             self._fail(error, rows)
+        if kind is None or self._affine is None or rows.a.shape[1]:
+            return kind
+        return kind._replace(many=self._affine.takes_long(rows, kind))
 
     def _fail(self, error: Exception, rows: Rows) -> NoReturn:
         """Raise a ModelError with the function's name, time and shapes, once."""

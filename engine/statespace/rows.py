@@ -21,12 +21,16 @@ PERTURBATION = 4e-12  # relative: models may round their arguments to twelve dig
 
 
 class Kind(NamedTuple):
-    """Which arguments differ from row to row; ``fields`` are indices into the record."""
+    """Which arguments differ from row to row; ``fields`` are indices into the record.
+
+    ``many``: so many time steps or parameter vectors that a call for each takes long.
+    """
 
     u: bool
     t: bool
     dt: bool
     fields: tuple[int, ...]
+    many: bool = False
 
     @property
     def times(self) -> bool:

@@ -334,6 +334,29 @@ def test_an_extension_of_such_a_model_needs_as_few_calls():
     assert written.calls < 20 * K
 
 
+@pytest.mark.parametrize("irregular", [False, True])
+@pytest.mark.parametrize("drifts", [False, True])
+@pytest.mark.parametrize("force", AFFINE)
+def test_what_differs_in_every_row_takes_no_call_for_each(force, drifts, irregular):
+    """A drift gives a parameter another value in each row, and irregular times another time step."""
+    written, rng = Textbook(FORCES[force]), np.random.default_rng(9)
+    u, rows, none = inputs(), np.arange(T), np.empty((T, 0))
+    dt = rng.uniform(0.05, 0.2, T) if irregular else 0.1
+    t, calls = np.cumsum(dt * np.ones(T)), []
+    for size in (1.0, 1.1, 1.2):
+        b = size * (np.linspace(0.5, 1.5, T) if drifts else 1.0)
+        record = written.model.record(written.model.theta())._replace(b=b)
+        written.calls = 0
+        found = written.model.transition(none, u.T, t, dt, record)
+        calls.append(written.calls)
+        for i in rows[::20].tolist():
+            own = record._replace(b=b[i] if drifts else b)
+            f, A, _ = written.dynamics(none[:1], u[i], t[i], 0.1, own)
+            np.testing.assert_allclose(found[0][i], f, atol=1e-13)
+            np.testing.assert_allclose(found[1][i] if found[1].ndim == 3 else found[1], A)
+    assert calls[-1] < T // 10
+
+
 # ---- which arguments a function reads -----------------------------------------------------------
 
 
