@@ -223,8 +223,9 @@ def test_starts_and_bootstrap_are_the_services(rbps, flows):
         flows.with_name("a.json").read_text(), dumps(there.results[-1])))  # fmt: skip
     for document in (mine, theirs):
         del document["trace"]["seconds"]
-    labels = {name: mine.pop(name) for name in ("name", "tags", "data", "created")}
+    labels = {name: mine.pop(name) for name in ("name", "tags", "data", "created", "notes")}
     assert labels["data"] == ["flows.csv"]
+    assert "a step of 1 s is assumed" in labels["notes"][0]  # of the file, which a request has not
     assert mine == theirs
     assert "from 4 estimations on data simulated at the estimate" in result.stdout
     found = [line for line in result.stdout.splitlines() if line.startswith("start ")]
