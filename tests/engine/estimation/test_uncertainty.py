@@ -17,6 +17,7 @@ from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.uncertainty import StandardErrors, likelihood, observed, standard_errors
+from engine.estimation.uncertainty.profile import March
 from engine.estimation.uncertainty.roots import relative_errors
 from engine.estimation.uncertainty.score import Score
 
@@ -321,7 +322,7 @@ def test_ends_to_which_there_is_no_way_are_not_found(monkeypatch, best):
     assert np.isnan(found.values[0, 1])
     assert found.values[0, 0] == pytest.approx(whole.values[0, 0], rel=1e-3)
     assert "not found" in found._repr_html_()
-    monkeypatch.setattr(likelihood._March, "_at", lambda *asked: None)
+    monkeypatch.setattr(March, "_at", lambda *asked: None)
     with pytest.warns(NotSettledWarning, match="Not found: the interval of theta,"):
         found = engine.likelihood_intervals(MODEL, best, SERIES, errors=errors, exact=True)
     assert np.isnan(found.values[0]).all()
