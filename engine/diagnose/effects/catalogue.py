@@ -32,6 +32,7 @@ from engine.diagnose.effects.kinds.parameters import KINDS as OF_PARAMETERS
 from engine.diagnose.effects.kinds.paths import KINDS as PATHS
 from engine.diagnose.effects.kinds.play import KINDS as PLAY
 from engine.diagnose.effects.kinds.products import KINDS as PRODUCTS
+from engine.diagnose.effects.kinds.slopes import KINDS as SLOPES
 from engine.diagnose.effects.kinds.slow_input import KINDS as SLOW_INPUT
 from engine.diagnose.effects.kinds.slow_sensor import KINDS as SLOW_SENSOR
 from engine.diagnose.effects.kinds.state import KINDS as STATE
@@ -63,6 +64,7 @@ SHIPPED: tuple[Kind, ...] = (
     *PATHS,
     *TIME,
     *OF_PARAMETERS,
+    *SLOPES,
     *BEND,
     *GAIN_STEPS,
     *TIME_STEP,

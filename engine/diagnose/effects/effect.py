@@ -44,7 +44,8 @@ class Effect:
     where it may have been off, as is tried as well; ``readings(y, size)`` what it does to a channel's finished
     readings (T,), where the extension only stands for that (rounding as noise); ``shown`` the size that the
     readings themselves show, if they do: it is known then, and no parameter; ``runs(t, u, own)`` what is added
-    to the parameter of the model that it changes; ``traits`` what the search must know of its kind.
+    to the parameter of the model that it changes, with the state on which it depends for u where it depends on
+    one; ``traits`` what the search must know of its kind.
     """
 
     kind: str

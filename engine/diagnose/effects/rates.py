@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.estimation.expectation import parameter_scale
 from engine.filters.filter_steps import first_moments
-from engine.statespace.half_steps import step
+from engine.statespace.half_steps import SHORTER, step
 from engine.statespace.model import Array, MixedModel
 
 PROBE_POINTS = 12  # at which a rate is looked for
@@ -106,6 +106,29 @@ def moved_by(model: MixedModel, theta: Array, points: Points, parameter: str) ->
         one, another = (_read(model, at, x, u, t) for at in (theta, other))
         readings |= not np.array_equal(one, another, equal_nan=True)
     return states, readings
+
+
+def slopes_by(
+    model: MixedModel, theta: Array, points: Points, parameter: str
+) -> tuple[Array, Array]:
+    """What a parameter does to the next states (n, nx) and to the readings (n, ny) at each point.
+
+    Of the step so small a part that it is no more than what it does at once.
+    """
+    index = model.index(parameter)
+    other = np.array(theta, dtype=float)
+    for sign in (0.07, -0.07):  # of two ways one is open
+        away = sign * parameter_scale(model, theta, index)
+        moved = np.clip(theta[index] + away, *model.parameters[index].bounds)
+        if abs(moved - theta[index]) > abs(other[index] - theta[index]):
+            other[index] = moved
+    short = replace(points, dt=SHORTER * points.dt)
+    states, readings = [], []
+    for k in range(len(points.t)):
+        x, u, t = points.x[k][None], points.u[k], float(points.t[k])
+        states.append(np.subtract(*(_next(model, at, short, k, x, u)[0] for at in (other, theta))))
+        readings.append(np.subtract(*(_read(model, at, x, u, t)[0] for at in (other, theta))))
+    return np.nan_to_num(states), np.nan_to_num(readings)
 
 
 def _read(model: MixedModel, theta: Array, x: Array, u: Array, t: float) -> Array:

@@ -136,10 +136,11 @@ def test_a_slope_is_asked_of_what_moves_means_and_of_channels_that_are_left_out(
         series.y, u=np.hstack([series.u, series.extra]), dt=DT, u_names=list(model.inputs)
     )
     setting = setting_for(model, there, np.asarray(model.theta()))
-    channels = [e.channel for e in all_effects(setting, ["parameter-slope"])]
+    effects = all_effects(setting, ["parameter-slope"])
+    channels = [e.channel for e in effects if e.family == "input"]
     wanted = [f"{u}->{p}" for p in ("absorbed", "loss", "capacity") for u in model.inputs]
     assert channels == wanted  # none of the noises q and r
-    odd = {e.channel for e in all_effects(setting, ["parameter-slope"]) if e.traits.odd}
+    odd = {e.channel for e in effects if e.traits.odd}
     assert odd == {name for name in wanted if name.startswith("sun")}  # which drives
     effect = make_effect("parameter-slope:wind->loss", setting)
     assert effect.size.unit == "W/m^2/K"  # nothing says what the wind counts
@@ -148,8 +149,8 @@ def test_a_slope_is_asked_of_what_moves_means_and_of_channels_that_are_left_out(
     assert middle.default == pytest.approx(np.median(series.extra))
 
 
-@pytest.mark.parametrize("channel", ["loss->loss", "cell->loss", "sun->nothing", "sun", ""])
-def test_what_is_no_input_onto_a_parameter_is_refused(channel):
+@pytest.mark.parametrize("channel", ["loss->loss", "loss->cell", "sun->nothing", "sun", ""])
+def test_what_is_no_signal_onto_a_parameter_is_refused(channel):
     with pytest.raises(engine.OptionError, match="cannot enter"):
         extend(PANEL, [f"parameter-slope:{channel}"])
 

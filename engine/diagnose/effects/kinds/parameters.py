@@ -1,8 +1,8 @@
-"""Parameters that change: at a time, with time, or with an input."""
+"""Parameters that change at a time, or with time; and what any that changes is made of."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.channels import Kind, at_parameters
 from engine.diagnose.effects.effect import Effect, Split, on_base
-from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.time import (
     during,
     ends,
@@ -20,9 +19,9 @@ from engine.diagnose.effects.kinds.time import (
     since,
 )
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.traits import ANY, Course, Traits
+from engine.diagnose.effects.traits import Course, Traits
+from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, Parameter, Theta
-from engine.units import product
 
 ONTO = "->"
 SOUGHT = {Course.STEP: 1, Course.EPISODE: 2, Course.DRIFT: 0}  # times that are estimated
@@ -75,10 +74,14 @@ def stopped_share(effect: Effect, model: MixedModel, theta: Theta, series: Serie
     """
     if effect.runs is None:
         return 0.0
-    name = effect.channel.rpartition(ONTO)[2]
+    source, _, name = effect.channel.rpartition(ONTO)
     low, high = model.parameters[model.index(name)].bounds
     own = [theta[p.name] for p in effect.parameters]
-    value = theta[name] + np.broadcast_to(effect.runs(series.t, series.u.T, own), len(series))
+    signals = series.u.T
+    if effect.family == "state":  # as the filter sees it
+        row = [*model.nonlinear, *model.linear].index(source)
+        signals = moment_path(model, np.asarray(theta), series).filtered.T[row]
+    value = theta[name] + np.broadcast_to(effect.runs(series.t, signals, own), len(series))
     return float(np.mean((value < low) | (value > high)))
 
 
@@ -123,61 +126,8 @@ def _change(when: Course, further_of: Callable[[str, Setting], list[Parameter]])
     return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
 
 
-def _slope(setting: Setting, channel: str) -> Effect | None:
-    """``input->parameter``: a loss that grows with the wind, a resistance that depends on the temperature."""
-    source, _, target = channel.partition(ONTO)
-    if source not in setting.model.inputs or target not in setting.model.parameter_names:
-        return None
-    name = setting.identifier("parameter-slope", channel)
-    unit = setting.unit(source)
-    # counted from the middle of the record, the parameter itself stays what it is on the whole
-    middle = Parameter(
-        f"{name}_middle",
-        setting.quantile(source, 0.5),
-        unit,
-        description=f"{source} where it is zero",
-    )
-    slope = Parameter(
-        name,
-        0.0,
-        product(unit_of(setting, target), (unit, -1.0)),
-        description=f"{target} per {source}",
-    )
-    row = list(setting.model.inputs).index(source)
-    left_out = ", which the model leaves out" if source in setting.extra else ""
-
-    def course(t: Any, u: Any, own: Sequence[Any]) -> Any:
-        return own[0] * (u[row] - own[1])
-
-    return Effect(
-        "parameter-slope",
-        channel,
-        "input",
-        f"dependence of the parameter {target} on {source}{left_out}",
-        f"{target} -> {target} + {name} * ({source} - {middle.name})",
-        (slope, middle),
-        running_parameter(setting, target, course, within_steps=False),
-        probes=((middle.default,),),
-        held=(middle.name,),
-        look_alikes={
-            "product": "one of its terms only",
-            "parameter-drift": "changes with time, whatever the input",
-            "input-gain": "is the same at any size of the input",
-        },
-        runs=course,
-        traits=Traits(of_parameter=True, plainness=ANY + 1, odd=only_drives(setting, source)),
-    )
-
-
-def _each_slope(setting: Setting) -> Iterator[str]:
-    """Each parameter but those of noise with each input, also with one that the model leaves out."""
-    for target in setting.steering if setting.model.nu else ():
-        yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
-
-
 KINDS: list[Kind] = [
     _change(Course.STEP, from_when),
     _change(Course.EPISODE, ends),
     _change(Course.DRIFT, over_the_record),
-    ("parameter-slope", _slope, _each_slope),
 ]

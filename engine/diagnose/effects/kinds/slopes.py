@@ -1,0 +1,169 @@
+"""Parameters that depend on an input or on a state: in proportion to its distance from its middle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.channels import Kind
+from engine.diagnose.effects.effect import Effect, Split, on_base
+from engine.diagnose.effects.kinds.odds import only_drives
+from engine.diagnose.effects.kinds.parameters import ONTO, running_parameter, unit_of
+from engine.diagnose.effects.rates import slopes_by
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.traits import ANY, Traits
+from engine.errors import EngineError
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import promote
+from engine.units import product
+
+MOVED = 1e-2  # of what a parameter moves most, in the sizes of the states: less comes of a step that is finite
+ALIKE = 0.02  # of it: what a function of one channel may leave, and be all of it
+
+
+def _slope(setting: Setting, channel: str) -> Effect | None:
+    """``signal->parameter``: a loss that grows with the wind, a resistance that depends on the temperature."""
+    source, _, target = channel.partition(ONTO)
+    of_state = source in setting.states
+    if not (of_state or source in setting.model.inputs):
+        return None
+    if target not in setting.model.parameter_names:
+        return None
+    name = setting.identifier("parameter-slope", channel)
+    unit = setting.unit(source)
+    # counted from the middle of the record, the parameter itself stays what it is on the whole
+    middle = Parameter(
+        f"{name}_middle",
+        setting.quantile(source, 0.5),
+        unit,
+        description=f"{source} where it is zero",
+    )
+    slope = Parameter(
+        name,
+        0.0,
+        product(unit_of(setting, target), (unit, -1.0)),
+        description=f"{target} per {source}",
+    )
+    left_out = ", which the model leaves out" if source in setting.extra else ""
+    own: dict[str, Any] = _of_state(setting, source, target) if of_state else {}
+    return Effect(
+        "parameter-slope",
+        channel,
+        "state" if of_state else "input",
+        f"dependence of the parameter {target} on {source}{left_out}",
+        f"{target} -> {target} + {name} * ({source} - {middle.name})",
+        (slope, middle),
+        probes=((middle.default,),),
+        held=(middle.name,),
+        **(own or _of_input(setting, source, target)),
+    )
+
+
+def _of_input(setting: Setting, source: str, target: str) -> dict[str, Any]:
+    """Members of the effect of an input."""
+    row = list(setting.model.inputs).index(source)
+
+    def course(t: Any, u: Any, own: Sequence[Any]) -> Any:
+        return own[0] * (u[row] - own[1])
+
+    return {
+        "extend": running_parameter(setting, target, course, within_steps=False),
+        "look_alikes": {
+            "product": "one of its terms only",
+            "parameter-drift": "changes with time, whatever the input",
+            "input-gain": "is the same at any size of the input",
+        },
+        "runs": course,
+        "traits": Traits(of_parameter=True, plainness=ANY + 1, odd=only_drives(setting, source)),
+    }
+
+
+def _of_state(setting: Setting, source: str, target: str) -> dict[str, Any]:
+    """Members of the effect of a state, at the step's beginning, of differential equations midway of the step.
+
+    Midway is where half a step leads. So those states that feed the source are no linear ones, either.
+    """
+    index = setting.model.parameter_names.index(target)
+    bounds = setting.model.parameters[index].bounds
+    needs = [source, *(setting.feeding(source) if setting.model.continuous else ())]
+
+    def course(t: Any, x: Any, own: Sequence[Any]) -> Any:
+        return own[0] * (x - own[1])
+
+    def extend(model: MixedModel) -> MixedModel:
+        base = promote(model, needs)
+        split, row = Split(model), list(base.nonlinear).index(source)
+
+        def at(x: Array, theta: Any) -> Any:
+            record, own = split(theta)
+            value = np.clip(record[index] + course(None, x[:, row], own), *bounds)
+            return record._replace(**{target: value})
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record = at(a, theta)
+            if base.continuous:
+                record = at(base.transition(a, u, t, 0.5 * dt, record)[0], theta)
+            return base.transition(a, u, t, dt, record)
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            return base.observation(a, u, t, at(a, theta))
+
+        return on_base(base, split, dynamics=dynamics, measurement=measurement)
+
+    return {
+        "extend": extend,
+        "look_alikes": {
+            "product": "one of its terms only",
+            "quadratic": "one of its terms only",
+            "parameter-slope": "depends on another signal",
+            "parameter-drift": "changes with time, whatever the state",
+        },
+        "runs": course,
+        "traits": Traits(of_parameter=True, plainness=ANY + 2),
+    }
+
+
+def _each_slope(setting: Setting) -> Iterator[str]:
+    """Each parameter but those of noise with each input, also with one that the model leaves out.
+
+    And with each state that moves, where no plainer effect says just that.
+    """
+    for target in setting.steering:
+        yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
+    for target in setting.steering:
+        if not _is_factor(setting, target):
+            yield from (f"{source}{ONTO}{target}" for source in setting.moved)
+
+
+def _is_factor(setting: Setting, parameter: str) -> bool:
+    """Whether all that a parameter does is to weigh one channel, or none, in the equation of one state.
+
+    Its slope is then a product with that channel, a square, or a coupling, and has that name.
+    """
+    points, theta = setting.points(setting.model)
+    try:
+        moves, readings = slopes_by(setting.model, theta, points, parameter)
+    except (EngineError, np.linalg.LinAlgError):
+        return True  # nor can the model be used with a parameter that changes
+    felt = np.abs(moves / points.scale).max(axis=0)
+    rows = np.flatnonzero(felt > MOVED * felt.max())
+    if readings.any() or len(rows) != 1 or list(setting.states)[rows[0]] not in setting.targets:
+        return False
+    column = moves[:, rows[0]]
+    channels = zip(
+        [*setting.states, *setting.model.inputs], np.hstack([points.x, points.u]).T, strict=True
+    )
+    known = {*setting.moved, *setting.model.inputs} - {*setting.extra}
+    for values in (v for name, v in channels if name in known):
+        affine = np.column_stack(
+            [np.ones(len(values)), (values - values[0]) / (np.ptp(values) or 1.0)]
+        )
+        left = column - affine @ np.linalg.lstsq(affine, column)[0]
+        if np.linalg.norm(left) <= ALIKE * np.linalg.norm(column):
+            return True
+    return False
+
+
+KINDS: list[Kind] = [("parameter-slope", _slope, _each_slope)]
