@@ -515,3 +515,19 @@ def test_what_tells_look_alikes_apart_is_said_with_one_verb():
                 said = phrased(difference)
                 article = difference.startswith(("a ", "an "))
                 assert not (article and verbs.search(difference)), (effect.kind, kind, said)
+
+
+def test_what_tells_a_look_alike_apart_reads_on_after_it():
+    """A verb first, as in ``; it is one of its terms only``: of two kinds there was none."""
+    settings = [
+        Setting(engine.get_model(name), span=(0.0, 10.0), dt=0.1) for name in ("servo", "tanks")
+    ]
+    differences = {
+        phrased(text)
+        for setting in settings
+        for effect in all_effects(setting)
+        for text in effect.look_alikes.values()
+        if text
+    }
+    assert len(differences) > 30
+    assert [text for text in differences if not re.match(r"\w+s\b", text)] == []

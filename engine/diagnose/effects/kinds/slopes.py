@@ -71,7 +71,7 @@ def _of_input(setting: Setting, source: str, target: str) -> dict[str, Any]:
     return {
         "extend": running_parameter(setting, target, course, within_steps=False),
         "look_alikes": {
-            "product": "one of its terms only",
+            "product": "is one of its terms only",
             "parameter-drift": "changes with time, whatever the input",
             "input-gain": "is the same at any size of the input",
         },
@@ -115,8 +115,8 @@ def _of_state(setting: Setting, source: str, target: str) -> dict[str, Any]:
     return {
         "extend": extend,
         "look_alikes": {
-            "product": "one of its terms only",
-            "quadratic": "one of its terms only",
+            "product": "is one of its terms only",
+            "quadratic": "is one of its terms only",
             "parameter-slope": "depends on another signal",
             "parameter-drift": "changes with time, whatever the state",
         },
