@@ -225,3 +225,17 @@ def test_a_model_that_may_be_stepped_more_finely_and_does_not_say_so_is_told():
     (cause,) = found.causes
     assert cause.size == pytest.approx(-0.15, abs=3.0 * cause.standard_error)
     assert not any("continuous=True" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("channel", "said"),
+    [
+        ("enzyme*substrate->substrate", "k_s depends on enzyme"),
+        ("enzyme*substrate->enzyme", "k_e depends on substrate"),
+        ("enzyme*feed->substrate", ""),
+    ],
+)
+def test_a_product_tells_which_parameter_would_depend_on_what(channel, said):
+    """A spring whose stiffness depends on its temperature has that name, which says nothing of a stiffness."""
+    title = make_effect(f"product:{channel}", Setting(TUBE)).title
+    assert title.partition(", as where ")[2] == said

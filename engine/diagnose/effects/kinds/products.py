@@ -8,11 +8,13 @@ from typing import Any
 
 from engine.diagnose.effects.channels import Kind
 from engine.diagnose.effects.effect import Effect, add_to_state
+from engine.diagnose.effects.kinds.slopes import weighed_by
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Traits
 from engine.statespace.model import MixedModel, Parameter
 from engine.units import product as unit_product
+from engine.words import enumerated
 
 TIMES, ONTO = "*", "->"
 
@@ -45,7 +47,7 @@ def _product(setting: Setting, channel: str) -> Effect | None:
         "product",
         channel,
         "state",
-        f"product of {one} and {other} acting on {target}",
+        f"product of {one} and {other} acting on {target}{_as_slopes(setting, pair, target)}",
         f"{target}' = ... + dt * {name} * {text}",
         (Parameter(name, 0.0, setting.rate(target, both), description="rate per product"), *zeros),
         extend,
@@ -59,6 +61,18 @@ def _product(setting: Setting, channel: str) -> Effect | None:
         },
         traits=Traits(plainness=ANY + 1),
     )
+
+
+def _as_slopes(setting: Setting, pair: Sequence[str], target: str) -> str:
+    """Parameters that weigh one of the two, and depend on the other then, in words after a title."""
+    one, other = pair
+    words = [
+        f"{parameter} depends on {other if channel == one else one}"
+        for parameter in setting.steering
+        for channel, state in [weighed_by(setting, parameter) or ("", "")]
+        if state == target and channel in pair
+    ]
+    return f", as where {enumerated(words, 'or')}" if words else ""
 
 
 def _factors(source: str, known: Sequence[str]) -> list[str]:

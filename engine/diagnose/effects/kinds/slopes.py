@@ -133,37 +133,48 @@ def _each_slope(setting: Setting) -> Iterator[str]:
     for target in setting.steering:
         yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
     for target in setting.steering:
-        if not _is_factor(setting, target):
+        if weighed_by(setting, target) is None:
             yield from (f"{source}{ONTO}{target}" for source in setting.moved)
 
 
-def _is_factor(setting: Setting, parameter: str) -> bool:
-    """Whether all that a parameter does is to weigh one channel, or none, in the equation of one state.
+def weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
+    """The channel that is all that a parameter weighs, "" for none, and the state in whose equation it does.
 
-    Its slope is then a product with that channel, a square, or a coupling, and has that name.
+    None where it does more. Else its slope is a product with that channel, a square, or a coupling, and is called
+    so.
     """
+    key = weighed_by, parameter
+    if key not in setting.made:
+        setting.made[key] = _weighed_by(setting, parameter)
+    known: tuple[str, str] | None = setting.made[key]
+    return known
+
+
+def _weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
     points, theta = setting.points(setting.model)
     try:
         moves, readings = slopes_by(setting.model, theta, points, parameter)
     except (EngineError, np.linalg.LinAlgError):
-        return True  # nor can the model be used with a parameter that changes
+        return "", ""  # nor can the model be used with a parameter that changes
     felt = np.abs(moves / points.scale).max(axis=0)
     rows = np.flatnonzero(felt > MOVED * felt.max())
     if readings.any() or len(rows) != 1 or list(setting.states)[rows[0]] not in setting.targets:
-        return False
-    column = moves[:, rows[0]]
+        return None
+    column, target = moves[:, rows[0]], list(setting.states)[rows[0]]
+    if np.ptp(column) <= ALIKE * np.abs(column).max():
+        return "", target
     channels = zip(
         [*setting.states, *setting.model.inputs], np.hstack([points.x, points.u]).T, strict=True
     )
     known = {*setting.moved, *setting.model.inputs} - {*setting.extra}
-    for values in (v for name, v in channels if name in known):
+    for name, values in channels:
         affine = np.column_stack(
             [np.ones(len(values)), (values - values[0]) / (np.ptp(values) or 1.0)]
         )
         left = column - affine @ np.linalg.lstsq(affine, column)[0]
-        if np.linalg.norm(left) <= ALIKE * np.linalg.norm(column):
-            return True
-    return False
+        if name in known and np.linalg.norm(left) <= ALIKE * np.linalg.norm(column):
+            return name, target
+    return None
 
 
 KINDS: list[Kind] = [("parameter-slope", _slope, _each_slope)]
