@@ -140,8 +140,8 @@ def _each_slope(setting: Setting) -> Iterator[str]:
 def weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
     """The channel that is all that a parameter weighs, "" for none, and the state in whose equation it does.
 
-    None where it does more. Else its slope is a product with that channel, a square, or a coupling, and is called
-    so.
+    None where it does more. Else its slope is called what it is: a product with that channel, a square, or a
+    coupling.
     """
     key = weighed_by, parameter
     if key not in setting.made:
