@@ -142,7 +142,8 @@ def rbps_em(  # noqa: PLR0913
     check_enough(all_series, len(model.free_indices(free)))
     given, model = model, scaled(model, all_series, theta0, free, resume)
     first = first_of(model, theta0, resume)
-    likelihood = likelihood_of(model, all_series, first, n_particles)
+    indices = model.free_indices(free)
+    likelihood = likelihood_of(model, all_series, first, n_particles, indices)
     expect = rbps_step(
         model,
         all_series,
@@ -155,7 +156,6 @@ def rbps_em(  # noqa: PLR0913
         recover=recover,
         moment=LikelihoodStep(model, all_series).of,
     )
-    indices = model.free_indices(free)
     start = _start(model, all_series, indices, warm_start)
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
     ascent = _ascent(likelihood, indices, tolerance) if newton else None

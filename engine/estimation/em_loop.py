@@ -136,7 +136,7 @@ def _said_of_noise_free(names: Sequence[str], whose: str) -> str:
     act = "It acts" if len(names) == 1 else "They act"
     return (
         f" Estimated by scoring on {whose} likelihood: {', '.join(names)}. {act} where the model has no noise, "
-        "on a first state, a state or a reading, about which EM alone learns nothing."
+        "on a first state, a state or a reading, or where it jumps, about which EM alone learns nothing."
     )
 
 

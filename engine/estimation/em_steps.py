@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,7 +243,11 @@ class Steps:
         if not np.isfinite(expected.origin.log_likelihood):
             return Maximized(at, seen, False, q, at)
         names = np.array(at.names)
-        exact = q.moves_noise_free(at, self.indices)  # Q says nothing, or too little, about these
+        # Q says nothing, or too little, about these
+        guides = (
+            q.moves_noise_free if self.likelihood is None else partial(self.likelihood.guides, q)
+        )
+        exact = guides(at, self.indices)
         new = Theta(maximize(q, at, self.indices[~exact], self.by), at.names)
         stuck = exact.copy()
         if exact.any() and self.likelihood is not None:

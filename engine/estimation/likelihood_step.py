@@ -30,13 +30,19 @@ LIKELIER = 1.0  # nats by which another point must be likelier for an estimate t
 class LikelihoodStep:
     """Scoring on the moment filter's likelihood, which is exact where ``model`` is linear in all states.
 
-    ``exact`` says so; an expected gain below ``worth`` (nats) is no reason for a step.
+    ``exact`` says so; an expected gain below ``worth`` (nats) is no reason for a step. ``jumps`` are indices
+    of parameters that move a jump of the model, to which Q is no guide either.
     """
 
     model: MixedModel
     all_series: Sequence[Series]
     exact: bool = False
     worth: float = 1e-4
+    jumps: frozenset[int] = frozenset()
+
+    def guides(self, q: Objective, theta: Array, indices: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which of the parameters ``indices`` (n,) it moves, as Q is no guide to them."""
+        return q.moves_noise_free(theta, indices) | np.isin(indices, list(self.jumps))
 
     @property
     def whose(self) -> str:
@@ -151,12 +157,14 @@ def score_of(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Score (n,) and complete-data information (n, n) in the parameters ``indices`` by Fisher's identity.
 
-    That does not hold for parameters that move what has no noise, the third (n,): theirs is that of
+    That does not hold for parameters that move what has no noise, or a jump, the third (n,): theirs is that of
     ``likelihood``. Raises ModelError where it cannot be had.
     """
     _, gradient, information = q.derivatives(theta, indices)
-    exact = q.moves_noise_free(theta, indices)
-    if exact.any() and likelihood is not None:
+    if likelihood is None:
+        return gradient, information, q.moves_noise_free(theta, indices)
+    exact = likelihood.guides(q, theta, indices)
+    if exact.any():
         gradient[exact], own = likelihood.score(theta, indices[exact])
         information[exact] = information[:, exact] = 0.0
         information[np.ix_(exact, exact)] = own

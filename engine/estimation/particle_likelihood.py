@@ -4,7 +4,8 @@ A nonlinear state that enters covariances alone, such as a volatility, shows in 
 filter takes the noise for Gaussian. The random size of an outlier's noise (:mod:`engine.filters.heavy_tails`)
 it goes through by :mod:`engine.filters.strata`, which is no more than a start where other states are far from
 Gaussian. Parameters that move what has no noise, to
-which the Q-function is no guide either, are then moved by the particle filter's likelihood: by differences over
+which the Q-function is no guide either, and those that move a jump of the model
+(:mod:`engine.estimation.thresholds`), are then moved by the particle filter's likelihood: by differences over
 a third of a standard error to either side with common random numbers, and the outer products of the scores of
 single rows (Berndt, Hall, Hall, Hausman 1974).
 
@@ -29,6 +30,7 @@ from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.likelihood_step import LIKELIHOOD_STEPS, LikelihoodStep
 from engine.estimation.maximization import step_within
 from engine.estimation.quasi_ml import derivatives
+from engine.estimation.thresholds import jumping
 from engine.filters.rbpf import rbpf
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta, stacked
@@ -55,12 +57,19 @@ FAILURES = (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 
 def likelihood_of(
-    model: MixedModel, all_series: Sequence[Series], theta: Theta, n_particles: int
+    model: MixedModel,
+    all_series: Sequence[Series],
+    theta: Theta,
+    n_particles: int,
+    indices: NDArray[np.intp],
 ) -> LikelihoodStep:
-    """The likelihood that moves what has no noise: the moment filter's, or the particles' if that is blind."""
-    blind = any(in_noise_only(model, theta, one).any() for one in all_series)
-    if blind:
-        return ParticleLikelihood(model, all_series, n_particles=n_particles)
+    """The likelihood that moves those of the parameters ``indices`` to which the Q-function is no guide.
+
+    That of the moment filter, or of particles where it is blind, or where parameters move a jump of the model.
+    """
+    jumps = frozenset(indices[jumping(model, theta, all_series, indices, n_particles)].tolist())
+    if jumps or any(in_noise_only(model, theta, one).any() for one in all_series):
+        return ParticleLikelihood(model, all_series, jumps=jumps, n_particles=n_particles)
     return LikelihoodStep(model, all_series)
 
 

@@ -138,7 +138,8 @@ def ps_em(  # noqa: PLR0913
         get_proposal(proposal)
         model = scaled(model, all_series, theta0, free, resume)
         first = first_of(model, theta0, resume)
-        likelihood = likelihood_of(model, all_series, first, n_particles)
+        indices = model.free_indices(free)
+        likelihood = likelihood_of(model, all_series, first, n_particles, indices)
         run = partial(particle_filter, model, proposal=proposal, **options)
         smooth, objective = partial(_draws, N), partial(expectation, model)
     moment = LikelihoodStep(model, all_series).of if isinstance(model, MixedModel) else None

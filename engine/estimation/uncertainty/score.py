@@ -59,7 +59,7 @@ class Score:
         if exact:
             return cls(model, theta, indices, rts_step(model, all_series), True, likelihood)
         moment = _remembered(likelihood.of)
-        likelihood = likelihood_of(model, all_series, theta, n_particles)
+        likelihood = likelihood_of(model, all_series, theta, n_particles, indices)
         expect = rbps_step(model, all_series, n_particles, n_trajectories, moment=moment)
         return cls(model, theta, indices, expect.compared, False, likelihood)
 
@@ -106,16 +106,16 @@ class Score:
         values = np.array(self.theta)
         values[self.indices] = x
         theta = Theta(values, self.theta.names)
-        if isinstance(self.likelihood, ParticleLikelihood) and self.moves_noise_free:
+        if isinstance(self.likelihood, ParticleLikelihood) and self.guided:
             return self.likelihood.drawn(seed).score(theta, self.indices)
         q = self.expect(theta, np.random.default_rng(seed)).q
         return score_of(q, theta, self.indices, self.likelihood)[:2]
 
     @cached_property
-    def moves_noise_free(self) -> bool:
-        """Whether one of the parameters moves what has no noise."""
+    def guided(self) -> bool:
+        """Whether one of the parameters moves what has no noise, or a jump."""
         q = self.expect(self.theta, np.random.default_rng(0)).q
-        return bool(q.moves_noise_free(self.theta, self.indices).any())
+        return bool(self.likelihood.guides(q, self.theta, self.indices).any())
 
 
 def _remembered(moment: Callable[[Theta, Series], float]) -> Callable[[Theta, Series], float]:

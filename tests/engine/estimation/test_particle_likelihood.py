@@ -144,10 +144,10 @@ def test_states_that_enter_noise_alone_are_known(nonlinear):
         ):  # next to no outliers are no reason not to see that there may be some
             seen = in_noise_only(model, model.theta(values), series)
             assert seen.tolist() == [False, True][not nonlinear :]
-        likelihood = likelihood_of(model, [series], model.theta(), 20)
+        likelihood = likelihood_of(model, [series], model.theta(), 20, model.free_indices(None))
         assert isinstance(likelihood, ParticleLikelihood)
     model = decay(nonlinear)
-    likelihood = likelihood_of(model, [series], model.theta(), 20)
+    likelihood = likelihood_of(model, [series], model.theta(), 20, model.free_indices(None))
     assert type(likelihood) is LikelihoodStep
 
 

@@ -1,0 +1,90 @@
+"""Levels at which a model jumps: the slope of a trajectory's density says nothing of where they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import engine
+from engine.estimation.thresholds import jumping
+
+P = engine.Parameter
+LEVEL = P("level", -0.2, "1", (-10.0, 10.0))
+NONE = np.zeros((1, 0))
+
+
+def model_of(dynamics, *more: engine.Parameter) -> engine.MixedModel:
+    """A state that is measured well, with the parameter ``level`` and others."""
+    return engine.MixedModel(
+        name="levels",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], NONE, [[0.05**2]]),
+        initial=lambda theta: (engine.Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "1"},
+        linear={},
+        outputs={"y": "1"},
+        parameters=[LEVEL, P("keep", 0.5, "1", (-1.0, 1.0)), *more],
+    )
+
+
+def in_noise(a, u, t, dt, theta):
+    q = np.where(a[:, 0] > theta.level, theta.above, theta.below) ** 2
+    return [theta.keep * a[:, 0]], NONE, q[:, None, None]
+
+
+def in_mean(a, u, t, dt, theta):
+    x = a[:, 0]
+    return [theta.keep * x - np.where(x > theta.level, theta.level, 0.0)], NONE, [[0.3]]
+
+
+def bend(a, u, t, dt, theta):
+    return [theta.keep * np.maximum(a[:, 0] - theta.level, 0.0)], NONE, [[0.3]]
+
+
+def weir(a, u, t, dt, theta):
+    return [theta.keep * np.sqrt(np.maximum(a[:, 0] - theta.level, 0.0))], NONE, [[0.3]]
+
+
+def sign(a, u, t, dt, theta):
+    return [theta.keep * np.sign(a[:, 0]) + theta.level], NONE, [[0.3]]
+
+
+NOISES = P("below", 0.3, "1", (1e-3, 10.0)), P("above", 0.5, "1", (1e-3, 10.0))
+
+
+def record(T: int) -> engine.Series:
+    """A state whose steps are three times as wide above 0.3."""
+    rng, x, y = np.random.default_rng(4), 0.0, []
+    for _ in range(T):
+        y.append(x + 0.05 * rng.standard_normal())
+        x = 0.8 * x + (1.0 if x > 0.3 else 0.3) * rng.standard_normal()
+    return engine.Series(np.array(y))
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "more", "found"),
+    [
+        (in_noise, NOISES, ["level"]),
+        (in_mean, (), ["level"]),
+        (bend, (), []),
+        (weir, (), []),
+        (sign, (), []),  # it jumps where no parameter moves it
+    ],
+)
+def test_parameters_that_move_a_jump_are_known(dynamics, more, found):
+    model = model_of(dynamics, *more)
+    indices = model.free_indices(None)
+    jumps = jumping(model, model.theta(), [record(200)], indices, 20)
+    assert [model.parameter_names[k] for k in indices[jumps]] == found
+
+
+@pytest.mark.slow
+def test_a_level_at_which_noise_grows_is_estimated():
+    """It stood at its start, 88 nats below the maximum, and was said not to enter the likelihood."""
+    model, series = model_of(in_noise, *NOISES), record(400)
+    found = engine.rbps_em(model, series, seed=1)
+    assert found.outcome is engine.Outcome.CONVERGED
+    assert not found.not_estimated
+    assert abs(found.theta["level"] - 0.4) < 0.06  # the maximum by a filter on a grid
+    assert abs(found.theta["above"] - 1.0) < 0.2
+    assert "level" in engine.standard_errors(model, found, series).names
