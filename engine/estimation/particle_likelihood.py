@@ -51,6 +51,8 @@ REACHES = (
     0.5,
     0.1,
 )  # sizes of a parameter that it moves at most, if longer steps gain nothing
+# sizes of a level that it is looked for away from where it stands
+PLACES = np.array([-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0])
 PATIENCE = 2  # steps in turn that gain next to nothing
 ENOUGH = 0.02  # nats: less is not climbed for
 FAILURES = (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError)
@@ -158,10 +160,26 @@ class ParticleLikelihood(LikelihoodStep):
         try:
             indices = self.model.free_indices(free)
             least = ENOUGH if worth is None else min(worth, ENOUGH)
-            found, gain, _ = self._climb(theta, indices, 2 * LIKELIHOOD_STEPS, least)
+            start = self._beyond(theta, indices)
+            found, gain, _ = self._climb(start, indices, 2 * LIKELIHOOD_STEPS, least)
+            gain += 0.0 if start is theta else self.of(start) - self.of(theta)
         except FAILURES:
             return theta, 0.0
         return found, gain
+
+    def _beyond(self, theta: Theta, indices: NDArray[np.intp]) -> Theta:
+        """Theta, or what is likeliest of it with one level of a jump far from there: few states tell of one."""
+        best, highest = theta, self.of(theta) if self.jumps else np.nan
+        for k in sorted(self.jumps.intersection(indices.tolist())):
+            x = np.asarray(theta)
+            values = x[k] + PLACES * parameter_scale(self.model, x, k)
+            within = np.clip(values, self.model.lower[k], self.model.upper[k])
+            for one in free_thetas(x, np.array([k]), within[:, None]):
+                there = Theta(one, theta.names)
+                value = self.of(there)
+                if value > highest:
+                    best, highest = there, value
+        return best
 
     def of(self, theta: Theta, series: Series | None = None) -> float:
         """Log-likelihood of one series, or of all; NaN where it cannot be had."""
