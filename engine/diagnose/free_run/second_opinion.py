@@ -91,7 +91,9 @@ def second_opinion(
     ``enough`` tells whether their steps are short enough for a fit with effects.
     """
     base, named = causes.base, [r.refits[0] for r in causes.search.rounds if r.equivalent]
-    whole, given = given, [_without_outliers(base, named, one, seed) for one in given]
+    whole = given
+    if causes.verdict is not Verdict.UNKNOWN:  # else they may be what the model gets wrong
+        given = [_without_outliers(base, named, one, seed) for one in given]
     patches = any(refit.effect.family == "noise" for refit in named)
     patches = patches and not causes.search.has_noise_apart
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
