@@ -252,3 +252,20 @@ def test_the_share_of_a_record_in_which_a_bound_stops_it(least, most, share):
     extended = effect.apply(model)
     theta = extended.theta({effect.size.name: 0.005})
     assert stopped_share(effect, extended, theta, series) == pytest.approx(share, abs=0.03)
+
+
+def test_a_curve_of_one_state_is_asked_on_no_dependence_on_that_state():
+    """The outflow of the lower tank, a root of its level; that of the upper one flows into the lower, too."""
+    asked = [
+        effect.channel
+        for effect in all_effects(Setting(engine.get_model("tanks")), ["parameter-slope"])
+    ]
+    assert "lower->k3" not in asked
+    assert {"upper->k3", "upper->k1"} <= {*asked}
+
+
+@pytest.mark.parametrize(("source", "odd"), [("velocity", True), ("position", False)])
+def test_a_speed_is_hardly_a_condition_on_which_a_parameter_depends(source, odd):
+    """A friction that depends on it is one of the others, and was named in place of an offset."""
+    effect = make_effect(f"parameter-slope:{source}->Fc", Setting(engine.get_model("servo")))
+    assert effect.traits.odd is odd

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,8 @@ def _of_state(setting: Setting, source: str, target: str) -> dict[str, Any]:
             "parameter-drift": "changes with time, whatever the state",
         },
         "runs": course,
-        "traits": Traits(of_parameter=True, plainness=ANY + 2),
+        # a speed is no condition, as a temperature is, or a charge: what depends on it is friction
+        "traits": Traits(of_parameter=True, plainness=ANY + 2, odd=setting.is_rate(source)),
     }
 
 
@@ -134,7 +136,9 @@ def _each_slope(setting: Setting) -> Iterator[str]:
         yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
     for target in setting.steering:
         if weighed_by(setting, target) is None:
-            yield from (f"{source}{ONTO}{target}" for source in setting.moved)
+            for source in setting.moved:
+                if not _bends(setting, target, source):
+                    yield f"{source}{ONTO}{target}"
 
 
 def weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
@@ -175,6 +179,24 @@ def _weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
         if name in known and np.linalg.norm(left) <= ALIKE * np.linalg.norm(column):
             return name, target
     return None
+
+
+def _bends(setting: Setting, parameter: str, source: str) -> bool:
+    """Whether all that a parameter does is a curve of the state ``source`` in one equation.
+
+    As an outflow that is a root of the level does. With a dependence on it this is another curve, and there are
+    plainer ones.
+    """
+    points, theta = setting.points(setting.model)
+    at = list(setting.states).index(source)
+    x = np.roll(points.x, 1, axis=0)
+    x[:, at] = points.x[:, at]
+    others = replace(points, x=x, u=np.roll(points.u, 1, axis=0))
+    here, there = (
+        np.hstack(slopes_by(setting.model, theta, each, parameter)) for each in (points, others)
+    )
+    apart = np.linalg.norm(there - here, axis=0) > ALIKE * np.linalg.norm(here, axis=0)
+    return bool(not apart.any() and np.count_nonzero(here.any(axis=0)) == 1)
 
 
 KINDS: list[Kind] = [("parameter-slope", _slope, _each_slope)]
