@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from engine.arrays import Array
 from engine.data.lattice import FEWEST_LEVELS, lattice_step
+from engine.data.repeats import repeated
 from engine.data.series import Series
 from engine.words import enumerated, moment, number, percent, with_unit
 
@@ -78,7 +79,8 @@ def faults_of_readings(name: str, unit: str, y: Array, u: Array) -> list[str]:
         f"Output {name} {said}: a mark for 'no reading'? Then leave those out (NaN, or an empty cell)."
         for said in _marks(unit, y)
     ]
-    return [*marked, *_held(name, unit, without_marks(y), u)]
+    values = without_marks(y)
+    return [*marked, *(repeated(name, values) or _held(name, unit, values, u))]
 
 
 def marks_among_inputs(name: str, unit: str, u: Array) -> list[str]:
