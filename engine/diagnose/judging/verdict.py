@@ -133,7 +133,8 @@ def patchwork(search: Search, alpha: float) -> str:
         return f"more than {PATCHES} effects are needed"
     if noises and len(effects) > 1 and not search.has_noise_apart:
         return f"{noises[0]} is a property of the noise, as what another effect leaves of a cause looks"
-    if (noises or len(found) > 1) and not search.rounds[-1].equivalent:
+    still = not (search.rounds[-1].equivalent or search.of_the_steps)
+    if still and (noises or len(found) > 1):
         left = search.rounds[-1].screen
         if left.p_value <= LEFT * alpha:
             names = " and ".join(effect.name for effect in found)
@@ -165,9 +166,7 @@ def named_by(search: Search) -> tuple[Cause, ...]:
     named = [r for r in search.rounds if r.equivalent]
     causes = [cause_of(r, search.final) for r in named]
     names = [cause.effect for cause in causes]
-    looked_back = not search.of_the_steps and not any(
-        r.refits[0].effect.traits.outliers for r in named
-    )
+    looked_back = not any(r.refits[0].effect.traits.outliers for r in named)
     for k, cause in enumerate(causes):
         if looked_back and cause.effect not in search.unweighed:
             causes[k] = replace(cause, beside=tuple(n for n in names if n != cause.effect))

@@ -20,7 +20,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.refitted import TOLERANCE, Refit, cost, free_parameters
-from engine.diagnose.refits.rounds import FORESEEN, Round, settle
+from engine.diagnose.refits.rounds import FORESEEN, MARGIN, Round, settle
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress
 from engine.errors import EngineError
@@ -44,12 +44,13 @@ def look_back(
     kept: Kept = NOTHING,
     progress: Progress = lambda stage, share: None,
     screened: Callable[[QuasiFit], Screen] | None = None,
+    margin: float = MARGIN,
 ) -> tuple[QuasiFit, list[Round], tuple[str, ...]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices.
 
     ``screened`` screens all effects at a fit, for those of which a round saw too little before the later ones
     were known; the last round has seen them all. The third are choices that were not weighed so, because the
-    BUDGET was spent: their rounds stay as found.
+    BUDGET was spent: their rounds stay as found. Names within the ``margin`` of the best are a set.
     ``progress`` is told of every iteration: as many fits as there are rivals, and one without, make a round.
     """
     settled, fits = list(rounds), _Fits(base, series, BUDGET)
@@ -89,7 +90,7 @@ def look_back(
             again.append(Refit(effect, fit, gain, gain - cost(effect, series)))
         if not fits.left:
             return final, settled, tuple(effect.name for effect in effects[i:])
-        weighed = settle(found.screen, again, series, setting)
+        weighed = settle(found.screen, again, series, setting, margin)
         if weighed.refits:
             settled[i], final = weighed, weighed.refits[0].fit
     return final, settled, ()

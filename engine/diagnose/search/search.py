@@ -57,7 +57,12 @@ from engine.diagnose.screening.tails import (
     standardised_errors,
 )
 from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
-from engine.diagnose.steps.step_error import by_shorter_steps, decided_by_steps, ranked_anew
+from engine.diagnose.steps.step_error import (
+    by_shorter_steps,
+    decided_by_steps,
+    ranked_anew,
+    steps_margin,
+)
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.filters.sigma_point import moment_path
@@ -145,7 +150,7 @@ def _one_after_the_other(  # noqa: PLR0913
     fit, rounds, alarm, whole = base, list[Round](), False, series
     tails: Refit | None = None
     of_state: _OfState | None = None
-    explained, unweighed = "", tuple[str, ...]()
+    explained, by_steps, unweighed = "", 0.0, tuple[str, ...]()
     if first is not None:
         rounds.append(first)
         best = first.refits[0].fit
@@ -193,11 +198,11 @@ def _one_after_the_other(  # noqa: PLR0913
         if alarm and rounds and found.refits and tails is None:
             before = [r.refits[0].effect.name for r in rounds]
             gain = max(refit.gain for refit in found.refits)
-            gained = by_shorter_steps(gain, setting, before, fit, series, here)
-            if gained:
+            by_steps = by_shorter_steps(gain, setting, before, fit, series, here)
+            if by_steps:
                 explained, alarm = found.refits[0].effect.name, False
                 last, earlier = rounds[-1], before[:-1]
-                rounds[-1] = ranked_anew(last, gained, earlier, series, setting, here)
+                rounds[-1] = ranked_anew(last, by_steps, earlier, series, setting, here)
                 best = rounds[-1].refits[0].fit
                 told = _iterations(progress, "refit", FOLLOWED)
                 fit = here.fit(best.model, partial(finished, best, series, told))
@@ -231,10 +236,16 @@ def _one_after_the_other(  # noqa: PLR0913
     begun = rounds[0] if rounds[0].equivalent else None
     named = [found for found in rounds if found.equivalent]
     setting = setting.beside(fit.model)
-    if tails is None and len(named) > 1 and not explained:  # that would be by the longer steps
+    if tails is None and len(named) > 1:
         among = part_of(progress, 0.0, LOOKED_BACK)
         anew = partial(_screened, series, setting, LATER * alpha, seed, None, silent, kinds=kinds)
-        fit, named, unweighed = look_back(base, named, series, setting, kept, among, anew)
+        margin = steps_margin(by_steps)
+        fit, named, unweighed = look_back(base, named, series, setting, kept, among, anew, margin)
+        if explained and named[-1].refits[0].fit is fit:  # weighed anew, but by the longer steps
+            earlier = [r.refits[0].effect.name for r in named[:-1]]
+            own = kept.within("looking back by half steps")
+            named[-1] = ranked_anew(named[-1], by_steps, earlier, series, setting, own)
+            fit = named[-1].refits[0].fit
         rounds[: len(named)] = named
         told = _iterations(progress, STAGE, LOOKED_BACK)
         fit = kept.within("finally").fit(fit.model, partial(finished, fit, series, told))

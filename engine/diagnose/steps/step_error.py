@@ -81,7 +81,12 @@ def ranked_anew(
             more = _gained(extended, one.fit, finer, kept)
             one = replace(one, gain=one.gain + more, score=one.score + more)
         refits.append(one)
-    return settle(found.screen, refits, series, setting, max(MARGIN, within / 3.0))
+    return settle(found.screen, refits, series, setting, steps_margin(within))
+
+
+def steps_margin(gained: float) -> float:
+    """Of the score, within which names are a set where steps half as long gain so much: a third is left."""
+    return max(MARGIN, gained / 3.0)
 
 
 def decides(
