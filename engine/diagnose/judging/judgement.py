@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,8 @@ from engine.diagnose.judging.small_rest import is_small
 from engine.diagnose.judging.verdict import doubts, verdict_of
 from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.rounds import settle
+from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.rounds import MARGIN, settle
 from engine.diagnose.screening.tails import OUTLYING
 from engine.diagnose.steps.step_error import decides
 from engine.errors import EngineError
@@ -146,9 +148,17 @@ def _widened(found: Search, series: Series, setting: Setting, kept: Kept) -> tup
     if not worth:
         return found, 0.0
     refits = [*first.refits, *([] if first.generic is None else [first.generic])]
-    wide = settle(first.screen, refits, series, setting, worth)
+    wide = settle(first.screen, refits, series, setting, max(MARGIN, worth))
+    if {*wide.equivalent} <= {*first.equivalent}:
+        return found, 0.0
+    lead = first.refits[0]  # stays, as the last fit holds it
+    wide = replace(wide, refits=_led(lead, wide.refits), equivalent=_led(lead, wide.equivalent))
     at = found.rounds.index(first)
     return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :])), worth
+
+
+def _led(lead: Refit, refits: Sequence[Refit]) -> tuple[Refit, ...]:
+    return (lead, *(one for one in refits if one is not lead))
 
 
 def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> LackOfFit | None:
