@@ -19,7 +19,7 @@ from engine.diagnose.judging.small_rest import is_small
 from engine.diagnose.judging.verdict import doubts, verdict_of
 from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.refit import Refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import MARGIN, settle
 from engine.diagnose.screening.tails import OUTLYING
 from engine.diagnose.steps.step_error import decides
