@@ -17,7 +17,7 @@ from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_round
 from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.columns import CANNOT
-from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
+from engine.diagnose.free_run_fits.fitted import Fitted, Rival, fit_runs
 from engine.diagnose.free_run_fits.folds import p_better
 from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY, SAME, Cause, LookAlike, Verdict
 from engine.diagnose.judging.verdict import counted
@@ -106,7 +106,7 @@ def search_free_runs(
     kinds: Sequence[str] | None,
     seed: int,
     progress: Progress,
-    rivals: Sequence[Sequence[Pick]] = (),
+    rivals: Sequence[Rival] = (),
     whole: Sequence[Series] = (),
     enough: Callable[[Fitted], bool] = lambda fit: True,
 ) -> FreeRunSearch:

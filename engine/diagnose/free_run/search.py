@@ -18,7 +18,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.null import Alarm, alarm
 from engine.diagnose.free_run_fits.candidates import candidates
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
-from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_effects
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick, Rival, finished, with_effects
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.refits.likeness import as_foreseen, rank
@@ -111,7 +111,7 @@ def one_round(
     setting: Setting,
     noisy: Array,
     kinds: Sequence[str] | None,
-    rivals: Sequence[Sequence[Pick]],
+    rivals: Sequence[Rival],
     alpha: float,
     seed: int,
     progress: Progress,
@@ -134,7 +134,7 @@ def one_round(
     if seen.p_value > alpha or not linear.columns or not more:
         return FreeRound(fit, own, seen, tuple(singles), (), (), alpha)
     found = refits(fit, linear, effects, rivals, progress)
-    answers = [frozenset(pick.effect.name for pick in picks) for picks in rivals]
+    answers = [frozenset(pick.effect.name for pick in rival.picks) for rival in rivals]
     worth = _worth_judging(found, len(fit.effects), answers)
     judged = _judged(fit, own, worth, folds, progress)
     progress(STAGE, 1.0)
@@ -146,30 +146,37 @@ def refits(
     fit: Fitted,
     linear: Linear,
     effects: Sequence[Effect],
-    rivals: Sequence[Sequence[Pick]],
+    rivals: Sequence[Rival],
     progress: Progress,
 ) -> list[Fitted]:
-    """Effects alone, in pairs, and beside the leading refits, each set of them once, the best fit first."""
+    """Effects alone, in pairs, and beside the leading refits, each set of them once, the best fit first.
+
+    Answers of others begin at their own parameters, too: from those of a fit without them there may be no way.
+    """
     found: dict[frozenset[str], Fitted] = {}
     n = len(fit.names)
 
-    def add(base: Fitted, picks: Sequence[Pick], share: float) -> None:
+    def add(base: Fitted, picks: Sequence[Pick], share: float, *starts: Fitted) -> None:
         key = frozenset((*base.names[n:], *(pick.effect.name for pick in picks)))
         if key not in found:
-            reached = min((f.cost for f in found.values()), default=np.inf)
-            best = best_refit(base, picks, (1.0 - share) * base.cost, reached)
-            if best is not None and best.cost < base.cost:
-                found[key] = best
+            for start in (base, *starts):
+                reached = min((f.cost for f in found.values()), default=np.inf)
+                best = best_refit(start, picks, (1.0 - share) * base.cost, reached)
+                if best is not None and best.cost < found.get(key, base).cost:
+                    found[key] = best
 
     singles = [s for s in linear.singles() if s.share >= LEAST][:SINGLES]
     pairs = [s for s in linear.pairs(PAIRS) if s.share >= LEAST]
-    tried = [*singles, *(Share(1.0, tuple(picks)) for picks in rivals), *pairs]
-    for i, one in enumerate(tried):
+    answers = [(rival.picks, 1.0, (fit.begun_at(rival.beside),)) for rival in rivals]
+    alone, both = ([(s.picks, s.share, ()) for s in some] for some in (singles, pairs))
+    tried = [*answers, *alone, *both]
+    for i, (picks, taken, starts) in enumerate(tried):
         progress(STAGE, 0.5 * i / len(tried))
-        add(fit, one.picks, one.share)
-    alone = [f for f in found.values() if len(f.names) == n + 1]
-    own = [f for f in alone if f.effects[-1].family == "parameter"]  # the model's, and so plausible
-    leads = _distinct(alone)[:LEADS]
+        add(fit, picks, taken, *starts)
+    one_more = [f for f in found.values() if len(f.names) == n + 1]
+    # the model's, and so plausible
+    own = [f for f in one_more if f.effects[-1].family == "parameter"]
+    leads = _distinct(one_more)[:LEADS]
     leads += [f for f in own if f not in leads]
     for i, lead in enumerate(leads):
         progress(STAGE, 0.5 + 0.3 * i / len(leads))

@@ -31,7 +31,7 @@ from engine.diagnose.free_run.search import STAGE, FreeRound
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
-from engine.diagnose.free_run_fits.fitted import Fitted, Pick
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick, Rival
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
@@ -137,7 +137,7 @@ def second_opinion(
             theta,
             levels=(level, SETTLED * alpha),
             kinds=kinds,
-            rivals=_rivals(rivals),
+            rivals=_rivals(rivals, causes.search.final),
             seed=seed,
             progress=part_of(progress, ALARM_SHARE, 1.0),
             whole=() if records == list(given) else given,
@@ -232,15 +232,15 @@ def _beside(
     return _Beside(start, linear, setting, folds_of(fit.records))
 
 
-def _rivals(named: Sequence[Refit]) -> list[list[Pick]]:
-    """The likelihood's answer, as far as a free run shows it."""
+def _rivals(named: Sequence[Refit], final: QuasiFit) -> list[Rival]:
+    """The likelihood's answer, as far as a free run shows it, with its ``final`` parameters."""
     picks = []
     for refit in named:
         effect = refit.effect
         if effect.family in FAMILIES and effect.readings is None:
             own = [float(refit.fit.theta[p.name]) for p in effect.parameters]
             picks.append(Pick(effect, own[0], tuple(own[1:])))
-    return [picks] if picks else []
+    return [Rival(tuple(picks), final.theta.asdict())] if picks else []
 
 
 def _decided(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,14 @@ class Pick:
         own = [p.default for p in self.effect.parameters]
         own[: 1 + len(self.probe)] = [self.size, *self.probe]
         return own
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """An answer of others, with the model's parameters ``beside`` it, by name."""
+
+    picks: tuple[Pick, ...]
+    beside: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +99,11 @@ class Fitted:
         """Free parameters that no free run shows: the noise's."""
         shown = {self.model.parameter_names[i] for i in self.problem.active}
         return [name for name in self.free if name not in shown]
+
+    def begun_at(self, values: Mapping[str, float]) -> Fitted:
+        """The same, from which an extension begins at other values of its free parameters."""
+        own = {name: value for name, value in values.items() if name in self.free}
+        return replace(self, theta=self.model.theta({**self.theta.asdict(), **own}))
 
     @property
     def names(self) -> tuple[str, ...]:
