@@ -19,8 +19,8 @@ NAMES = """
     add subtract multiply true_divide negative power square sqrt exp log sin cos tanh absolute sign
     maximum minimum where less less_equal greater greater_equal equal not_equal logical_and
     logical_or logical_not tan arctan arctan2 arcsin arccos sinh cosh expm1 log1p log10 log2 exp2
-    hypot remainder fmod floor ceil rint trunc copysign reciprocal isfinite isnan erf check_finite
-    over_a_step holds fails
+    hypot remainder fmod floor ceil rint trunc copysign reciprocal isfinite isnan erf floor_divide
+    fmax fmin heaviside cbrt arcsinh arccosh arctanh expit check_finite over_a_step interp holds fails
 """.split()  # noqa: SIM905
 CODES = {name: code for code, name in enumerate(NAMES)}
 (
@@ -28,8 +28,8 @@ CODES = {name: code for code, name in enumerate(NAMES)}
     TANH, ABSOLUTE, SIGN, MAXIMUM, MINIMUM, WHERE, LESS, LESS_EQUAL, GREATER, GREATER_EQUAL,
     EQUAL, NOT_EQUAL, LOGICAL_AND, LOGICAL_OR, LOGICAL_NOT, TAN, ARCTAN, ARCTAN2, ARCSIN,
     ARCCOS, SINH, COSH, EXPM1, LOG1P, LOG10, LOG2, EXP2, HYPOT, REMAINDER, FMOD, FLOOR, CEIL,
-    RINT, TRUNC, COPYSIGN, RECIPROCAL, ISFINITE, ISNAN, ERF, CHECK_FINITE, OVER_A_STEP, HOLDS,
-    FAILS,
+    RINT, TRUNC, COPYSIGN, RECIPROCAL, ISFINITE, ISNAN, ERF, FLOOR_DIVIDE, FMAX, FMIN, HEAVISIDE,
+    CBRT, ARCSINH, ARCCOSH, ARCTANH, EXPIT, CHECK_FINITE, OVER_A_STEP, INTERP, HOLDS, FAILS,
 ) = range(len(NAMES))  # fmt: skip
 
 
@@ -132,6 +132,8 @@ def go_through(tape, links, W, lost):
                     return False
         elif code == OVER_A_STEP:
             _over_a_step(links[tape[line, 1]], W)
+        elif code == INTERP:
+            _interp(links[tape[line, 1]], W, out)
         else:
             for m in range(M):
                 W[out, m] = _seldom(code, W[x, m], W[y, m])
@@ -189,6 +191,30 @@ def _over_a_step(link, W):
                         W[first + size + wide + i * n + j, row] = np.nan if lost[k] else Q[i, j, k]
                     for j in range(m):
                         W[first + size + i * m + j, row] = np.nan if lost[k] else B[i, j, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _interp(link, W, out):
+    """``np.interp`` for each row; ``link``: n, the row of W that has x, those of n points and of n heights."""
+    n, x_ = link[0], link[1]
+    points, heights = link[2 : 2 + n], link[2 + n : 2 + 2 * n]
+    for m in range(W.shape[1]):
+        x = W[x_, m]
+        if not x < W[points[n - 1], m]:
+            W[out, m] = W[heights[n - 1], m] if x == x else np.nan
+        elif x < W[points[0], m]:
+            W[out, m] = W[heights[0], m]
+        else:
+            i, j = 0, n - 1
+            while j - i > 1:
+                k = (i + j) // 2
+                if x < W[points[k], m]:
+                    j = k
+                else:
+                    i = k
+            low, left = W[heights[i], m], W[points[i], m]
+            slope = (W[heights[j], m] - low) / (W[points[j], m] - left)
+            W[out, m] = slope * (x - left) + low
 
 
 @njit(cache=True, error_model="numpy")
@@ -258,6 +284,24 @@ def _seldom(code, x, y):
         return 1.0 if math.isfinite(x) else 0.0
     if code == ISNAN:
         return 1.0 if math.isnan(x) else 0.0
+    if code == FLOOR_DIVIDE:
+        return x // y
+    if code == FMAX:
+        return np.fmax(x, y)
+    if code == FMIN:
+        return np.fmin(x, y)
+    if code == HEAVISIDE:
+        return x if math.isnan(x) else 0.0 if x < 0.0 else y if x == 0.0 else 1.0
+    if code == CBRT:
+        return np.copysign(abs(x) ** (1.0 / 3.0), x)
+    if code == ARCSINH:
+        return np.arcsinh(x)
+    if code == ARCCOSH:
+        return np.arccosh(x)
+    if code == ARCTANH:
+        return np.arctanh(x)
+    if code == EXPIT:
+        return 1.0 / (1.0 + np.exp(-x))
     return math.erf(x)
 
 

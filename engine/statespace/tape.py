@@ -28,6 +28,7 @@ from engine.statespace.recorded.numbers import (
     UntraceableError,
     check_finite,
 )
+from engine.statespace.recorded.of_numpy import Between
 from engine.statespace.recorded.paths import Output
 from engine.statespace.recorded.program import outputs_of, traced_arguments
 from engine.statespace.rows import Array
@@ -35,10 +36,13 @@ from engine.statespace.traced_step import over_a_step
 
 CODE_OF = {getattr(np, name): code for name, code in CODES.items() if hasattr(np, name)} | {
     np.fabs: CODES["absolute"],
+    np.float_power: CODES["power"],
     scipy.special.erf: CODES["erf"],
+    scipy.special.expit: CODES["expit"],
     check_finite: CODES["check_finite"],
 }
 RESULTS, OPERANDS = 3, 3
+POINTS = 100  # of an interpolation, each of which is a row of the work space
 STEPS = (over_a_step, checked_step)  # functions of whole matrices that the kernel knows
 SQUARE = 2.0
 OF_BOOLEANS = {  # the same as these, of numbers that are true or not
@@ -244,6 +248,8 @@ class _Space:
             return CODES["holds" if step.held else "fails"], self._slot(step.of), 0, 0, 0
         if isinstance(step.function, OfArrays):
             return self._step(step) if step.function.function in STEPS else None
+        if isinstance(step.function, Between):
+            return self._between(step, step.function)
         code = self._code(step)
         if code is None or len(step.of) > OPERANDS:
             return None
@@ -263,6 +269,21 @@ class _Space:
         self.links.append([n, m, *operands, self.size])
         self.size += n * (2 * n + m)
         return CODES["over_a_step"], len(self.links) - 1, 0, 0, 0
+
+    def _between(self, step: Operation, curve: Between) -> tuple[int, ...] | None:
+        """The line of an interpolation, whose points and heights are linked."""
+        if not 2 <= len(curve.points) <= POINTS:
+            return None
+        x, *heights = (self._slot(i) for i in step.of)
+        points, fixed = (list(map(self._number, known)) for known in (curve.points, curve.heights))
+        self.slots[step.out] = self._new()
+        self.links.append([len(points), x, *points, *heights, *fixed])
+        return CODES["interp"], len(self.links) - 1, 0, 0, self.slots[step.out]
+
+    def _number(self, value: float) -> int:
+        """The row of a number that is none of the tape's."""
+        self._known[-1 - len(self.filled)] = float(value)
+        return self._slot(-1 - len(self.filled))
 
     def _code(self, step: Operation) -> int | None:
         function = getattr(step.function, "ufunc", step.function)

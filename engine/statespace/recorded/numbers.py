@@ -251,10 +251,13 @@ def _binary(ufunc: np.ufunc, back: bool) -> Callable[[Any, Any], Any]:
     return method
 
 
-@functools.cache
-def whole(ufunc: np.ufunc) -> Callable[..., Any]:
+def whole(ufunc: np.ufunc, x: Any) -> Any:
     """An integer of Python, which exists for finite numbers only."""
-    return lambda x: ufunc(check_finite(x))
+    return record(ufunc, (record(check_finite, (x,)),))
+
+
+def _whole(ufunc: np.ufunc) -> Callable[[Any], Any]:
+    return lambda self: whole(ufunc, self)
 
 
 def _unary(ufunc: Any) -> Callable[[Any], Any]:
@@ -286,13 +289,13 @@ ALONE: dict[str, Any] = {
     "pos": np.positive,
     "abs": np.absolute,
     "invert": np.invert,
-    "floor": whole(np.floor),
-    "ceil": whole(np.ceil),
-    "trunc": whole(np.trunc),
 }
+WHOLE: dict[str, np.ufunc] = {"floor": np.floor, "ceil": np.ceil, "trunc": np.trunc}
 for _name, _ufunc in (ARITHMETIC | COMPARISONS).items():
     setattr(Traced, f"__{_name}__", _binary(_ufunc, back=False))
 for _name, _ufunc in ARITHMETIC.items():
     setattr(Traced, f"__r{_name}__", _binary(_ufunc, back=True))
 for _name, _ufunc in ALONE.items():
     setattr(Traced, f"__{_name}__", _unary(_ufunc))
+for _name, _ufunc in WHOLE.items():
+    setattr(Traced, f"__{_name}__", _whole(_ufunc))

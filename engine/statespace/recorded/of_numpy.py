@@ -22,6 +22,7 @@ from engine.statespace.recorded.arrays import (
 )
 from engine.statespace.recorded.numbers import Traced, UntraceableError, record
 from engine.statespace.recorded.of_python import kind_of, unless_traced, within
+from engine.statespace.rows import Array
 
 CHOICES = 30  # points of an interpolation that differ from row to row, of which np.choose takes 32
 
@@ -137,28 +138,40 @@ def _select(conditions: Any, choices: Any, default: Any = 0) -> Any:
     return out
 
 
+class Between:
+    """``np.interp`` between ``points`` (n,), with ``heights`` (n,); where there are none they are operands."""
+
+    def __init__(self, points: Array, heights: Array) -> None:
+        self.points, self.heights = points, heights
+
+    def __call__(self, x: Any, *heights: Any) -> Any:
+        """The height at x, numbers or (M,)."""
+        points = self.points
+        if not heights:
+            return np.interp(x, points, self.heights)
+        at = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
+        low, high = np.choose(at, heights[:-1]), np.choose(at, heights[1:])
+        inside = low + (high - low) / (points[at + 1] - points[at]) * (x - points[at])
+        ends = np.where(x >= points[-1], heights[-1], inside)
+        return np.where(x <= points[0], heights[0], ends)
+
+
 def _interp(x: Any, xp: Any, fp: Any, **options: Any) -> Any:
     """``np.interp`` between points at the same places."""
     xp, fp = (np.asarray(_nested(each)) for each in (xp, fp))
     if options or has_traced(xp):
         raise UntraceableError
-    xp = xp.astype(float)
-    if not has_traced(fp):
-        fp = fp.astype(float)
-        return _each(lambda value: np.interp(value, xp, fp))(x)
-    if (np.diff(xp) <= 0.0).any() or len(xp) < 2:
+    xp, moving = xp.astype(float), has_traced(fp)
+    increasing = len(xp) > 1 and (np.diff(xp) > 0.0).all()
+    if moving and not (increasing and len(xp) <= CHOICES):
         raise UntraceableError
-
-    def between(value: Any, *heights: Any) -> Any:
-        at = np.clip(np.searchsorted(xp, value, side="right") - 1, 0, len(xp) - 2)
-        low, high = np.choose(at, heights[:-1]), np.choose(at, heights[1:])
-        inside = low + (high - low) / (xp[at + 1] - xp[at]) * (value - xp[at])
-        ends = np.where(value >= xp[-1], heights[-1], inside)
-        return np.where(value <= xp[0], heights[0], ends)
-
-    if len(xp) > CHOICES:
-        raise UntraceableError
-    each = np.frompyfunc(lambda value: record(between, (value, *fp.tolist())), 1, 1)
+    if not (moving or increasing):
+        return _each(lambda value: np.interp(value, xp, fp.astype(float)))(x)
+    curve = Between(xp, np.empty(0) if moving else fp.astype(float))
+    heights = fp.tolist() if moving else []
+    if not has_traced([x, heights]):
+        return opened(curve(as_numbers(x), *heights))
+    each = np.frompyfunc(lambda value: record(curve, (value, *heights)), 1, 1)
     return traced_array(each(np.asarray(_as_objects(x)).view(np.ndarray)))
 
 

@@ -66,14 +66,9 @@ def within(x: Any, y: Any, allowed: Any) -> Any:
     return np.equal(x, y) | (np.less_equal(apart, allowed) & np.isfinite(apart))
 
 
-def _larger(x: Any, y: Any) -> Any:
-    """``max`` of Python, the first of both where one is NaN."""
-    return np.where(np.greater(y, x), y, x)
-
-
-def _smaller(x: Any, y: Any) -> Any:
-    """``min`` of Python."""
-    return np.where(np.less(y, x), y, x)
+def _whole(function: Callable[..., Any], ufunc: np.ufunc) -> Callable[[Any], Any]:
+    """An integer of Python, as :func:`.numbers.whole` records it."""
+    return unless_traced(function, lambda x: whole(ufunc, x.item()))
 
 
 def _of_numbers_only(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -88,8 +83,11 @@ def _of_numbers_only(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def _extreme(function: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
-    """``max`` or ``min`` of numbers."""
+def _extreme(function: Callable[..., Any], beyond: np.ufunc) -> Callable[..., Any]:
+    """``max`` or ``min`` of numbers, the first of two where one is NaN.
+
+    It is a comparison and a choice, which kernels know.
+    """
 
     def call(*given: Any, **options: Any) -> Any:
         values = list(given[0]) if len(given) == 1 else list(given)
@@ -97,7 +95,8 @@ def _extreme(function: Callable[..., Any], own: Callable[..., Any]) -> Callable[
             return function(values, **options)
         out = values[0]
         for value in values[1:]:
-            out = record(own, [x.item() if isinstance(x, TracedArray) else x for x in (out, value)])
+            x, y = (one.item() if isinstance(one, TracedArray) else one for one in (out, value))
+            out = record(np.where, (record(beyond, (y, x)), y, x))
         return out
 
     return call
@@ -152,13 +151,13 @@ OTHER_NAME = {
     math.erfc: scipy.special.erfc,
     math.gamma: _of_numbers_only(scipy.special.gamma),
     math.lgamma: _of_numbers_only(scipy.special.gammaln),
-    math.floor: whole(np.floor),
-    math.ceil: whole(np.ceil),
-    math.trunc: whole(np.trunc),
 }
 IN_MATH = {getattr(math, name): getattr(np, name) for name in SAME_NAME.split()} | OTHER_NAME
 OF_PYTHON: dict[Any, Any] = {
     **{function: _plain_or(function, ufunc) for function, ufunc in IN_MATH.items()},
+    math.floor: _whole(math.floor, np.floor),
+    math.ceil: _whole(math.ceil, np.ceil),
+    math.trunc: _whole(math.trunc, np.trunc),
     math.log: _log,
     math.hypot: _hypot,
     math.dist: _dist,
@@ -166,8 +165,8 @@ OF_PYTHON: dict[Any, Any] = {
     np.float64: _Number(np.float64),
     float: _Number(float),
     isinstance: _isinstance,
-    max: _extreme(max, _larger),
-    min: _extreme(min, _smaller),
+    max: _extreme(max, np.greater),
+    min: _extreme(min, np.less),
 }
 KINDS = {OF_PYTHON[kind]: kind for kind in (np.float64, float)}
 NAMES = {one.__name__: OF_PYTHON[one] for one in (float, isinstance, max, min)}

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.special import expit
 
 import engine
 import engine.filters.sigma_point
@@ -294,9 +297,9 @@ def test_what_a_function_changes_its_mind_about_is_seen():
 @pytest.mark.parametrize(
     "function",
     [
-        lambda x: np.interp(x, [0.0, 1.0, 2.0], [0.0, 1.0, 1.5]),
+        lambda x: np.interp(x, np.linspace(0.0, 2.0, 101), np.linspace(0.0, 1.5, 101) ** 2),
         lambda x: np.array([[1.0, 2.0, 3.0][int(v) % 3] for v in x]),
-        lambda x: np.cbrt(x),
+        lambda x: np.logaddexp(x, 0.5),
     ],
 )
 def test_what_the_kernel_does_not_know_is_called(function, monkeypatch):
@@ -318,12 +321,36 @@ def test_what_the_kernel_does_not_know_is_called(function, monkeypatch):
         lambda x: np.clip(x, 0.1, 0.8), lambda x: np.arctan2(x, 1.0), lambda x: x % 0.7,
         lambda x: np.hypot(x, 1.0), lambda x: np.exp(-(x**2)), lambda x: 1.0 / (1.0 + x * x),
         lambda x: np.copysign(1.0, x), lambda x: np.logical_or(x > 1.0, x < 0.0) * x,
+        np.cbrt, np.arcsinh, expit, lambda x: np.arccosh(1.0 + x), lambda x: np.arctanh(np.sin(x)),
+        lambda x: x // 0.7, lambda x: np.heaviside(x - 0.5, 0.5), lambda x: np.fmax(x, 0.5),
+        lambda x: np.fmin(0.5, x), lambda x: np.float_power(x, 1.5),
+        lambda x: np.interp(x, [0.2, 1.0, 2.0, 2.1], [0.1, 1.0, 1.5, 1.2]),
+        lambda x: np.interp(x, np.linspace(0.0, 9.0, 100), np.linspace(0.0, 3.0, 100) ** 0.5),
     ],
 )  # fmt: skip
 def test_functions_of_numpy(function, monkeypatch):
     def dynamics(a, u, t, dt, theta):
         x = np.abs(a[:, 0]) + 0.1 * u[0]
         return theta.k * function(x)[:, None], np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
+    assert_same(taped, called)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, th: max(0.0, min(x, th.k, 0.8)),
+        lambda x, th: max(x - 0.4, 0.1) + math.floor(3.0 * x) + math.ceil(x) + math.trunc(x),
+        lambda x, th: x * math.isclose(x, th.k, abs_tol=0.5),
+        lambda x, th: float(np.interp(x, [0.2, 1.0, 2.0], [0.1, th.k, 1.5 * th.k])),
+    ],
+)
+def test_functions_of_python_in_a_loop_over_particles(function, monkeypatch):
+    def dynamics(a, u, t, dt, theta):
+        x = [theta.k * function(x + 0.1 * u[0], theta) for x in np.abs(a[:, 0])]
+        return np.array(x)[:, None], np.zeros((1, 0)), [[0.01]]
 
     model = level(dynamics)
     taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
