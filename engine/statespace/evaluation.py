@@ -333,7 +333,10 @@ class ModelFunction:
         if t.__class__ is not float:
             verdict = self._verdicts.get(self._kind_of(Rows(a, u, t, dt, theta)))
             if verdict is not None and verdict.trial is self._recorded:
-                return self(a, u, t, dt, theta)
+                try:
+                    return copies(self._recorded.together(a.copy(), u, t, dt, theta))
+                except NotByRowsError:
+                    return self(a, u, t, dt, theta)
         return self._regular(a.copy(), u, t, dt, theta)
 
     def _one(self, u: Array, dt: float, theta: Any) -> Result:

@@ -23,6 +23,7 @@ PATHS = 32  # through one function
 STEPS = 32  # lengths of time steps for each of which a function is recorded that counts with them
 TRIES = 8  # rows at which nothing could be calculated, until it is given up
 SAME = 1e-9  # relative: a number that is recorded is the function's own
+SINGLE = (int, float, np.number, np.ndarray)  # what is a number for all rows
 ENTRIES = 2**18  # numbers kept at once: rows are taken in parts
 
 
@@ -57,7 +58,7 @@ class Recorded:
     def _called(self, a: Array, u: Any, t: Any, step: Sequence[Any], theta: Any) -> Any:
         key = self._key(u, step)
         given = [*a.T, *([] if u is None else u), t, *(step if key[1] is None else ()), *theta]
-        given = [x if is_rows(x) else float(x) for x in given]
+        given = [float(x) if isinstance(x, SINGLE) and not is_rows(x) else x for x in given]
         lengths = a.shape[1], 0 if u is None else len(u)
         arguments = key, lengths, theta, step
         with np.errstate(divide="raise", over="raise", invalid="raise"):
@@ -150,10 +151,12 @@ class Recorded:
     def _record(self, given: list[Any], row: int, arguments: Any) -> Path:
         """Run the function on one row, and add the path it takes; the first path of all is returned."""
         key = arguments[0]
+        own = [float(x[row]) if is_rows(x) else x for x in given]
+        if not all(isinstance(x, float) for x in own):  # who asks whether a parameter is used
+            raise NotByRowsError(here=True)
         if self._paths >= PATHS or self._lost >= TRIES:
             raise NotByRowsError(here=False)
         recorder = Recorder()
-        own = [float(x[row]) if is_rows(x) else x for x in given]
         numbers = [recorder.number(x) for x in own]
         recorder.of_states.update(range(arguments[1][0]))
         try:

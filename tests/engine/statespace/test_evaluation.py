@@ -510,6 +510,43 @@ def test_a_parameter_that_is_used_at_few_points_only_is_not_overlooked():
     np.testing.assert_array_equal(dependence(model, model.theta(), both)[1], [True, False])
 
 
+@pytest.mark.parametrize("uses", [True, False])
+def test_to_ask_what_a_recorded_function_uses_does_not_keep_it_from_being_recorded(uses):
+    model = user_model()
+
+    def dynamics(a, u, t, dt, theta):
+        return (
+            [(theta.w if uses else 0.5) * a[:, 0] + math.sin(u[0]), 0.0],
+            [[0.3], [0.8]],
+            0.1 * np.eye(2),
+        )
+
+    model = replace(model, dynamics=dynamics)
+    u = np.random.default_rng(1).uniform(size=(50, 2))
+    points = Points(model, Series(np.zeros((50, 1)), u), np.ones((50, 4, 1)))
+    for _ in range(2):
+        used = dependence(model, model.theta(), [points])[1]
+        np.testing.assert_array_equal(used, [uses and p.name == "w" for p in model.parameters])
+    assert model.transitions.recorded
+
+
+def test_a_loop_over_rows_is_tried_on_few_of_them():
+    model, calls = user_model(), []
+
+    def dynamics(a, u, t, dt, theta):
+        if isinstance(u, np.ndarray) and u.ndim > 1:
+            calls.append(len(a))
+        f = np.array([x + float(u[0]) for x in a[:, 0].tolist()])
+        return [f, 0.0], [[0.3], [0.8]], 0.1 * np.eye(2)
+
+    model = replace(model, dynamics=dynamics)
+    u = np.random.default_rng(1).uniform(size=(500, 2))
+    points = Points(model, Series(np.zeros((500, 1)), u), np.ones((500, 4, 1)))
+    points.transition(model.record(model.theta()))
+    assert calls
+    assert max(calls) < 100
+
+
 def test_functions_that_use_no_parameter_are_asked_for_all_of_them_at_once():
     model, calls = engine.get_model("mixed-4"), []
 
