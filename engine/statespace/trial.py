@@ -28,7 +28,7 @@ Regular = Callable[[Array, Any, Any, Any, Any], Result]
 SINGLE_ROWS = 4  # of scattered rows that are called alone ...
 MORE = 2  # ... and of real ones, besides those with extreme arguments
 SEEN = 60  # states of earlier looks that are mixed with those of a new one
-COMPANY = 30  # rows that are called together in a brief look
+COMPANY = 30  # rows that are called together in a brief look, and before many
 NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
 SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
 UNREPEATED = (
@@ -62,6 +62,11 @@ class Trial:
     def agreeing(self, rows: Rows, kind: Kind | None, thorough: bool, seed: int) -> Result | None:
         """The results of one call, None where other calls of the same rows say otherwise."""
         M = len(rows.a)
+        if (
+            thorough and kind is not None and M > COMPANY
+        ):  # a loop over rows may make M times M numbers
+            few = np.linspace(0, M - 1, COMPANY).astype(np.intp)
+            self.together(*rows.take(kind, few).fresh())
         rng = np.random.default_rng((seed, M))
         raw = self.together(*rows.fresh())
         together = copies(raw) if thorough or self.reuses else raw
