@@ -166,7 +166,11 @@ by_entries: dict[Any, Callable[..., Any]] = {}
 
 def record_arrays(function: Callable[..., Any], arrays: Sequence[Any]) -> tuple[TracedArray, ...]:
     """A function of whole arrays, which returns several and takes leading axes for the rows."""
-    whole = record(OfArrays(function, [np.shape(x) for x in arrays]), _entries(arrays))
+    return entries_of(record(OfArrays(function, [np.shape(x) for x in arrays]), _entries(arrays)))
+
+
+def entries_of(whole: Any) -> tuple[TracedArray, ...]:
+    """The arrays of a traced tuple of them, entry by entry."""
     out, place = [], -1
     for k, result in enumerate(whole.value):
         each = np.empty(result.shape, dtype=object)

@@ -68,11 +68,12 @@ def package_of(function: Any) -> str:
     return str(function.__module__).partition(".")[0]
 
 
-def remembers(function: FunctionType, kind: type) -> bool:
+def remembers(function: FunctionType, owner: Any) -> bool:
     """Whether a function, or a method it calls, reads what it leaves for its next call.
 
-    Counting calls (``self.calls += 1``) is no reading.
+    ``owner`` is the object or class that has it. Counting calls (``self.calls += 1``) is no reading.
     """
+    kind = owner if isinstance(owner, type) else type(owner)
     loaded: Counter[Any] = Counter()
     stored: set[Any] = set()
     todo, met = [(function, kind)], set()
@@ -87,12 +88,25 @@ def remembers(function: FunctionType, kind: type) -> bool:
         stored |= own[1]
         kept = [one[0].__globals__[name] for name in names & one[0].__globals__.keys()]
         kept += [cell.cell_contents for cell in one[0].__closure__ or ()]
-        for each in {one[1], *map(type, kept)}:
+        for each in {one[1], *map(type, _within([owner, *kept]))}:
             if package_of(each) not in KNOWN:
                 found = [getattr(each, name, None) for name in names]
                 methods = [getattr(x, "fget", x) for x in found]
                 todo += [(x, each) for x in methods if isinstance(x, FunctionType)]
     return any(loaded[use] > 0 for use in stored)
+
+
+def _within(values: list[Any]) -> list[Any]:
+    """Objects, and those that a user's own have."""
+    found: dict[int, Any] = {}
+    todo = list(values)
+    while todo:
+        one = todo.pop()
+        if id(one) not in found:
+            found[id(one)] = one
+            if package_of(type(one)) not in KNOWN:
+                todo += getattr(one, "__dict__", {}).values()
+    return list(found.values())
 
 
 def _uses_of(code: Any, free: set[str]) -> tuple[Counter[Any], set[Any]]:

@@ -203,6 +203,25 @@ class RowsOfNumPy:
         return opened(self._own[key])
 
 
+def vectorized(own: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+    """``np.vectorize`` of a function, looked into, for its object ``own``."""
+
+    def call(*args: Any, **options: Any) -> Any:
+        if options or own.signature or own.excluded:
+            raise UntraceableError
+        if not has_traced(args):
+            return opened(own(*map(as_numbers, args)))
+        plain = [np.asarray(_as_objects(x)).view(np.ndarray) for x in args]
+        return traced_array(np.frompyfunc(function, len(args), 1)(*plain))
+
+    return call
+
+
+def _vectorize(function: Any, *args: Any, **options: Any) -> Any:
+    """``np.vectorize`` called while a function is recorded, of one that is looked into."""
+    return vectorized(np.vectorize(function, *args, **options), function)
+
+
 _where = _each(np.where)
 MADE = (np.zeros, np.ones, np.empty, np.eye, np.identity, np.full)
 MADE_LIKE = (np.zeros_like, np.ones_like, np.empty_like)
@@ -228,6 +247,7 @@ OF_NUMPY: dict[Any, Any] = {
     **{function: _made(function) for function in (*MADE, *MADE_LIKE)},
     **{function: _content(function) for function in CONTENT},
     np.errstate: _errstate,
+    np.vectorize: _vectorize,
     np.isscalar: lambda x: isinstance(x, Traced) or np.isscalar(x),
     scipy.linalg.inv: _arrays(np.linalg.inv),
     scipy.linalg.solve: _solve,

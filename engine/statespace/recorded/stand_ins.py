@@ -19,7 +19,9 @@ from engine.statespace.recorded.left_behind import (
     remembers,
 )
 from engine.statespace.recorded.numbers import UntraceableError
-from engine.statespace.recorded.of_numpy import OF_NUMPY, RowsOfNumPy
+from engine.statespace.recorded.of_libraries import is_of_library, of_library
+from engine.statespace.recorded.of_numpy import OF_NUMPY, RowsOfNumPy, vectorized
+from engine.statespace.recorded.of_objects import class_of, is_users, object_of
 from engine.statespace.recorded.of_python import NAMES, OF_PYTHON
 
 STAND_INS = OF_PYTHON | OF_NUMPY
@@ -68,20 +70,39 @@ def stand_in(value: Any, seen: dict[int, Any]) -> Any:
         return _constant(value)
     if value is np.r_ or value is np.c_:
         return RowsOfNumPy(value)
+    if is_of_library(value):
+        return of_library(value)
     if isinstance(value, ModuleType):
         return _Module(value, seen)
     if isinstance(value, FUNCTIONS) and package_of(value) == "numpy":
         return _of_numpy(value)
     if hasattr(value, "cache_info"):  # of functools.cache: traced numbers are no keys
         value = value.__wrapped__
+    if package_of(type(value)) == "numba" and hasattr(value, "py_func"):
+        value = value.py_func
     if isinstance(value, FunctionType):  # looked into when it is called
         return lambda *args, **options: traceable(value, seen)(*args, **options)
     if isinstance(value, MethodType) and isinstance(value.__func__, FunctionType):
-        own = traceable(value.__func__, seen, type(value.__self__))
-        return MethodType(own, value.__self__)
+        own = traceable(value.__func__, seen, value.__self__)
+        return MethodType(own, stand_in(value.__self__, seen))
     if isinstance(value, partial):
         return partial(stand_in(value.func, seen), *value.args, **value.keywords)
-    return value
+    if isinstance(value, np.vectorize):
+        return vectorized(value, stand_in(value.pyfunc, seen))
+    return _users(value, seen)
+
+
+def _users(value: Any, seen: dict[int, Any]) -> Any:
+    """A class or an object of the user's own with stand-ins in its methods; itself if it is none."""
+    kind = value if isinstance(value, type) else type(value)
+    if id(value) in seen:
+        return seen[id(value)]
+    if not is_users(kind) or not (kind is value or hasattr(value, "__dict__")):
+        return value
+    own = partial(stand_in, seen=seen)
+    if id(kind) not in seen:
+        seen[id(kind)] = class_of(kind, own, lambda function, of: traceable(function, seen, of))
+    return seen[id(kind)] if kind is value else object_of(value, seen[id(kind)], own, seen)
 
 
 def _of_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,18 +119,18 @@ def _is_left(function: Any, seen: dict[int, Any]) -> bool:
     return package in KNOWN and not (package == OWN and isinstance(seen, Within))
 
 
-def traceable(function: Any, seen: dict[int, Any] | None = None, kind: type = object) -> Any:
-    """The same function with stand-ins under its global and enclosing names; of a ``kind``, if a method."""
+def traceable(function: Any, seen: dict[int, Any] | None = None, owner: Any = object) -> Any:
+    """The same function with stand-ins under its global and enclosing names; a method of ``owner``."""
     seen = {} if seen is None else seen
     called = type(function).__call__
     if not isinstance(function, FunctionType):
         if isinstance(called, FunctionType) and not _is_left(called, seen):
-            return MethodType(traceable(called, seen, type(function)), function)
+            return MethodType(traceable(called, seen, function), _users(function, seen))
         return stand_in(function, seen)
     if _is_left(function, seen):
         return function
     if id(function) not in seen:
-        if package_of(function) != OWN and remembers(function, kind):
+        if package_of(function) != OWN and remembers(function, owner):
             raise UntraceableError
         names = dict(function.__globals__)
         closure = tuple(CellType() for _ in function.__closure__ or ())

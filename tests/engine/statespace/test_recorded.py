@@ -4,15 +4,18 @@ import copy
 import functools
 import math
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import hypothesis.strategies as st
+import numba
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 from hypothesis import Phase, given, settings
 from numpy.linalg import solve
+from scipy.interpolate import CubicSpline, interp1d
 from scipy.special import expit
 
 import engine
@@ -568,11 +571,91 @@ def heights(a, u, t, dt, th):
     return [a[:, 0] + rate, limited], SHAPE[:, :1], Q
 
 
+class Curve:
+    """A helper as it is written: made in the function, or there for all calls."""
+
+    def __init__(self, low, high):
+        self.low, self.high = low, high
+
+    def __call__(self, x):
+        return self.low + self.slope * math.tanh(x) if x > 0 else float(self.half(self.low))
+
+    @property
+    def slope(self):
+        return self.high - self.low
+
+    @staticmethod
+    def half(x):
+        return math.exp(-x) / 2.0
+
+
+@dataclass(frozen=True)
+class Plant:
+    gain: float
+    curve: Curve
+
+    @functools.lru_cache(maxsize=10)  # noqa: B019 - as users write it
+    def matrix(self, w):
+        return np.array([[math.exp(-w), 0.1], [0.0, self.gain]])
+
+    def force(self, x):
+        return self.gain * self.curve(x) + self.matrix(x)[0, 0]
+
+
+PLANT = Plant(0.7, Curve(0.5, 2.0))
+
+
+def objects(a, u, t, dt, th):
+    own, other = Curve(th.w, u[0]), Plant(th.k, PLANT.curve)
+    return [own(u[1]) + PLANT.force(th.w), other.force(t)], SHAPE[:, :1], Q
+
+
+def as_method(a, u, t, dt, th):
+    f = PLANT.force(th.w)
+    return [f * a[:, 0], PLANT.matrix(th.k)[0] @ u], SHAPE[:, :1], Q
+
+
+@numba.njit
+def compiled(x, w):
+    return math.exp(-w) * x if x > 0.0 else x
+
+
+each_rate = np.vectorize(lambda x, w: math.exp(-w) if x > 0 else helper(x), otypes=[float])
+
+
+def vectorized(a, u, t, dt, th):
+    own = np.vectorize(lambda x: max(x, 0.2) * math.sin(th.w))
+    return (
+        [own(a[:, 0]) + each_rate(u, th.w)[1], each_rate(t, th.k) + compiled(u[0], th.w)],
+        SHAPE[:, :1],
+        Q,
+    )
+
+
+SPLINE = CubicSpline([-3.0, -1.0, 0.5, 3.0], [0.0, 0.3, 1.0, 0.7])
+LINE = interp1d([-3.0, 0.0, 4.0], [1.0, 0.0, 2.0], fill_value="extrapolate")
+
+
+def libraries(a, u, t, dt, th):
+    F, G = np.array([[0.0, 1.0], [-(th.w**2), -0.3]]), np.array([[0.0], [th.k]])
+    A, B, *_ = scipy.signal.cont2discrete((F, G, np.eye(2), np.zeros((2, 1))), dt)
+    S = scipy.linalg.solve_discrete_lyapunov(A, np.diag([th.q, 1e-4]))
+    largest = np.linalg.eigvalsh(S)[-1] + scipy.linalg.block_diag([[th.k]], S)[0, 0]
+    f = A @ np.array([u[0], t]) + B[:, 0] * u[1]
+    return (
+        [f[0] + SPLINE(a[:, 0]) + float(LINE(u[0])), f[1] * largest],
+        A[:, 1:],
+        S + 1e-9 * np.eye(2),
+    )
+
+
 RATES = {"lift": helper}
 
 
 @pytest.mark.parametrize(
-    "written", [masks, opened, silent, decided, kinds, heights], ids=lambda f: f.__name__
+    "written",
+    [masks, opened, silent, decided, kinds, heights, objects, as_method, vectorized, libraries],
+    ids=lambda f: f.__name__,
 )
 def test_more_that_is_written_so_is_recorded(written):
     model = model_of(written)
@@ -602,6 +685,9 @@ class Remembering:
         if abs(u[0]) > 0.5:
             self.on = u[0] > 0
         return [math.sin(th.w) * (2.0 if self.on else 1.0), 0.0], SHAPE[:, :1], Q
+
+    def set(self, on):
+        self.on = on
 
     def switch(self, x):
         self.on = x > 0.5 or (self.on and x > -0.5)
@@ -639,7 +725,19 @@ def test_a_function_that_assigns_to_what_stays_is_not_recorded():
     def through_object(a, u, t, dt, th):
         return [math.sin(th.w) * plant.switch(u[0]), 0.0], SHAPE[:, :1], Q
 
-    of_plant = plant.switched, plant.cached, plant.through_method, through_object
+    class Car:
+        def __init__(self):
+            self.plant = Remembering()
+
+        def turned(self, a, u, t, dt, th):
+            on = self.plant.on
+            self.turn(u[0])
+            return [math.sin(th.w) * (2.0 if on else 1.0), 0.0], SHAPE[:, :1], Q
+
+        def turn(self, x):
+            self.plant.set(x > 0.5)
+
+    of_plant = Car().turned, plant.switched, plant.cached, plant.through_method, through_object
     for written in (enclosed, in_table, in_list, *of_plant):
         calls = by_rows(written, ((2,), (2, 1), (2, 2)))
         a, u, t, dt, theta = rows_of(0, model_of(loops))
