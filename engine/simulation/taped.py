@@ -39,7 +39,7 @@ def run_by_tape(
         return None
     X = np.empty((T, K, model.nx))
     X[0] = x1
-    done = run_taped(moving.arguments, rows, X)
+    done = run_taped(moving.arguments, (moving.u, moving.t, moving.dt), X)
     if not done:
         moving.note(done)
         return None

@@ -46,11 +46,13 @@ class _Kept:
         """Whether there may be a tape for steps of ``dt``, or for uneven ones."""
         return not (self.over or (dt is None and self.even_only))
 
-    def lines(self, thetas: Array, copies: int, dt: float | None) -> Lines | None:
+    def lines(
+        self, thetas: Array, copies: int, dt: float | None, record: tuple[Array, Array, Array]
+    ) -> Lines | None:
         """The lines of the tape whose way these parameters take, None where there is none."""
         for tape in self.tapes:
             try:
-                found = lines_of(tape, thetas, copies, dt)
+                found = lines_of(tape, thetas, copies, dt, record)
             except LeftError:
                 continue
             if found is None:  # something that no kernel does
@@ -154,7 +156,7 @@ def on_tape(
     kept, copies = _KEPT.setdefault(function, _Kept()), len(a) // len(thetas)
     first = u[0], float(t[0]), float(dt[0])
     step = first[2] if (dt[:-1] == dt[0]).all() else None
-    lines = kept.lines(thetas, copies, step) if kept.has_any(step) else None
+    lines = kept.lines(thetas, copies, step, record) if kept.has_any(step) else None
     if lines is None and kept.has_any(step) and kept.ways < WAYS:
         kept.ways += 1
         tape = record_tape(function, a[0], *first, theta)
@@ -163,7 +165,8 @@ def on_tape(
         else:
             kept.tapes.append(tape)
             kept.known = kept.passes + NEW
-            lines = kept.lines(thetas, copies, step)
+            lines = kept.lines(thetas, copies, step, record)
     if lines is None:
         return None
+    u = np.concatenate([u, lines.columns], axis=1) if lines.columns.size else u
     return OnTape(kept, lines, call, u, t, dt, function.shapes, function.name == "dynamics")

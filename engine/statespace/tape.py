@@ -104,7 +104,8 @@ class Lines:
 
     The ``codes`` (n, 5), the ``links`` (k, .) of those that take matrices, the work ``space`` (., M), and the
     three ``results``, flat (1 or M, .), which have all that no state, input or time changes (one row where the
-    rows do not differ); ``places`` (., 2) are their other entries with the rows of the space.
+    rows do not differ); ``places`` (., 2) are their other entries with the rows of the space. The ``columns``
+    (T, .) count as further inputs of the record.
     """
 
     codes: NDArray[np.int64]
@@ -114,6 +115,7 @@ class Lines:
     results: tuple[Array, ...]
     na: int
     raises: bool  # whether a call may fail where this makes numbers that are not finite
+    columns: Array
 
     @property
     def points(self) -> Array:
@@ -121,13 +123,32 @@ class Lines:
         return np.ascontiguousarray(self.space[: self.na].T)
 
 
-def lines_of(tape: Tape, thetas: Array, copies: int, dt: float | None) -> Lines | None:
+def lines_of(
+    tape: Tape, thetas: Array, copies: int, dt: float | None, record: Sequence[Array]
+) -> Lines | None:
     """The lines for K parameter vectors (K, n), ``copies`` rows each; ``dt`` where all steps have it.
 
-    None where the kernel does not know an operation. Raises LeftError.
+    ``record`` are inputs (T, nu), times and steps (T,). None where the kernel does not know an operation. What
+    inputs and times alone tell may be any. Raises LeftError.
     """
     known, rest = _of_parameters(tape, thetas, dt)
-    space = _Space(tape, known, rest)
+    found = _lines(tape, known, rest, {}, len(thetas), copies)
+    if found is None:
+        columns, left = _of_record(tape, known, rest, record)
+        if columns:
+            found = _lines(tape, known, left, columns, len(thetas), copies)
+    return found
+
+
+def _lines(
+    tape: Tape,
+    known: dict[int, Any],
+    rest: Sequence[Operation | Condition],
+    columns: dict[int, Array],
+    K: int,
+    copies: int,
+) -> Lines | None:
+    space = _Space(tape, known, rest, columns)
     codes = []
     for i, step in enumerate(rest):
         if isinstance(step, Operation) and isinstance(step.function, Entry):
@@ -138,7 +159,7 @@ def lines_of(tape: Tape, thetas: Array, copies: int, dt: float | None) -> Lines 
         codes.append(space.line(i, step))
     if not all(codes):
         return None
-    rows, results, places = len(thetas) * copies, list[Array](), list[NDArray[np.int64]]()
+    rows, results, places = K * copies, list[Array](), list[NDArray[np.int64]]()
     of_rows = _of_rows(tape, known, rest)
     for output in tape.outputs:
         moving = [(entry, space.slots[i]) for entry, i in output.moving if i not in known]
@@ -159,7 +180,8 @@ def lines_of(tape: Tape, thetas: Array, copies: int, dt: float | None) -> Lines 
     links = np.zeros((len(space.links), width), dtype=np.int64)
     for link, entries in zip(links, space.links, strict=True):
         link[: len(entries)] = entries
-    return Lines(lines, links, work, tuple(places), tuple(results), tape.lengths[0], raises)
+    own = np.array([*columns.values()]).T if columns else np.empty((0, 0))
+    return Lines(lines, links, work, tuple(places), tuple(results), tape.lengths[0], raises, own)
 
 
 def _of_parameters(
@@ -188,6 +210,35 @@ def _of_parameters(
             else:
                 rest.append(step)
     return known, _needed(rest, tape)
+
+
+def _of_record(
+    tape: Tape,
+    known: dict[int, Any],
+    rest: Sequence[Operation | Condition],
+    record: Sequence[Array],
+) -> tuple[dict[int, Array], list[Operation | Condition]]:
+    """Values (T,) that depend on inputs and times alone and are used, and the operations that are left."""
+    na, nu, _ = tape.lengths
+    u, t, dt = record
+    values: dict[int, Any] = {i: value for i, value in known.items() if np.isscalar(value)}
+    steps = np.append(dt[:-1], dt[-2:-1])  # the last has no meaning
+    given = [*u.T, t, *([] if na + nu + 1 in known else [steps])]
+    values |= dict(enumerate(given, na))
+    left: list[Operation | Condition] = []
+    try:
+        with np.errstate(all="ignore"):
+            for step in rest:
+                if isinstance(step, Operation) and all(i in values for i in step.of):
+                    values[step.out] = step.function(*[values[i] for i in step.of])
+                else:
+                    left.append(step)
+    except (ArithmeticError, ValueError):
+        return {}, left
+    used = {i for step in left for i in _operands(step)}
+    used |= {i for output in tape.outputs for _, i in output.moving}
+    made = sorted(i for i in used & values.keys() if i not in known and i >= na + nu + 2)
+    return {i: np.broadcast_to(np.asarray(values[i], dtype=float), t.shape) for i in made}, left
 
 
 def _of_rows(tape: Tape, known: dict[int, Any], rest: Sequence[Operation | Condition]) -> set[int]:
@@ -229,11 +280,16 @@ class _Space:
     """
 
     def __init__(
-        self, tape: Tape, known: dict[int, Any], rest: Sequence[Operation | Condition]
+        self,
+        tape: Tape,
+        known: dict[int, Any],
+        rest: Sequence[Operation | Condition],
+        columns: dict[int, Array],
     ) -> None:
         na, nu, _ = tape.lengths
-        self.size = na + nu + 2
-        self.slots = {i: i for i in range(self.size)}
+        head = [*range(na + nu), *columns, na + nu, na + nu + 1]  # t and dt come last
+        self.size = len(head)
+        self.slots = {i: slot for slot, i in enumerate(head)}
         self.filled: list[tuple[int, int]] = []
         self._known, self._booleans = known, tape.booleans
         self._last = {i: line for line, step in enumerate(rest) for i in _operands(step)}

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
 import engine
@@ -354,6 +355,23 @@ def test_functions_of_python_in_a_loop_over_particles(function, monkeypatch):
 
     model = level(dynamics)
     taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
+    assert_same(taped, called)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_what_inputs_and_times_alone_tell_may_be_any_function(even, monkeypatch):
+    curve = CubicSpline([-5.0, 0.0, 2.0, 6.0], [0.0, 0.4, 1.0, 0.7])
+
+    def dynamics(a, u, t, dt, theta):
+        valve = curve(u[0]) * np.logaddexp(0.0, t) / dt
+        return (
+            [theta.k * a[:, 0] + 0.1 * np.tanh(valve) * (valve > 1.0)],
+            np.zeros((1, 0)),
+            [[0.01]],
+        )
+
+    model = level(dynamics)
+    taped, called = both(model, thetas_of(model, 1), series_for(model, 1, even), monkeypatch)
     assert_same(taped, called)
 
 
