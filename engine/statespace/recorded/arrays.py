@@ -8,7 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from engine.statespace.recorded.numbers import Recorder, Traced, UntraceableError, quiet, record
+from engine.statespace.recorded.numbers import (
+    Recorder,
+    Traced,
+    UntraceableError,
+    quiet,
+    record,
+    whole,
+)
+from engine.statespace.recorded.tables import Table, is_key, looked_up
 
 OPENED = 1_000  # entries of an array into which a traced number may be written
 
@@ -54,6 +62,11 @@ def as_float(x: Any) -> Any:
     return record(np.multiply, (x, 1.0)) if boolean else x
 
 
+def as_whole(x: Any) -> Any:
+    """The whole number that ``int`` makes of it."""
+    return whole(np.trunc, as_float(x)) if isinstance(x, Traced) else int(x)
+
+
 def boxed(x: Any) -> Any:
     """Without the overrides that called this."""
     if isinstance(x, Traced):
@@ -97,13 +110,15 @@ class TracedArray(np.ndarray[Any, Any]):
 
     def astype(self, dtype: Any, *args: Any, **options: Any) -> Any:
         """A copy as numbers."""
-        if np.dtype(dtype).char != "d":
+        known = {"d": as_float, "l": as_whole}.get(np.dtype(dtype).char)
+        if known is None:
             return np.ndarray.astype(self, dtype, *args, **options)
-        return traced_array(
-            np.frompyfunc(as_float, 1, 1)(self.view(np.ndarray)).reshape(self.shape)
-        )
+        each = np.frompyfunc(known, 1, 1)(self.view(np.ndarray))
+        return np.asarray(each, dtype=object).reshape(self.shape).view(TracedArray)
 
     def __getitem__(self, key: Any) -> Any:
+        if is_key(key) and Recorder.running():
+            return traced_array(looked_up(self.view(np.ndarray), key))
         return super().__getitem__(_decided(key))
 
     def __setitem__(self, key: Any, value: Any) -> None:
@@ -143,14 +158,16 @@ def as_numbers(x: Any) -> Any:
     if not isinstance(x, TracedArray):
         return x
     entries = x.ravel().tolist()
-    whole = bool(entries) and all(isinstance(entry, bool | int | np.integer) for entry in entries)
-    return np.array(entries, dtype=None if whole else float).reshape(x.shape)
+    counts = bool(entries) and all(isinstance(entry, bool | int | np.integer) for entry in entries)
+    return np.array(entries, dtype=None if counts else float).reshape(x.shape)
 
 
 def opened(x: Any) -> Any:
     """Arrays of numbers as such that take traced ones; everything else as it is."""
     if isinstance(x, np.ndarray) and x.dtype.char == "d" and x.size <= OPENED:
         return x.astype(object).view(TracedArray)
+    if isinstance(x, np.ndarray) and x.dtype.char == "d" and x.__class__ is np.ndarray:
+        return x.view(Table)
     return traced_array(x)
 
 
@@ -216,6 +233,26 @@ class Entry:
         return arrays[self.k][(..., *self.at)]
 
 
+def _with_axes(self: Any, key: Any) -> Any:
+    """``x[..., None]``, which numbers of NumPy have; all other keys are those of sequences."""
+    if not all(
+        one is None or one is Ellipsis for one in (key if isinstance(key, tuple) else (key,))
+    ):
+        raise TypeError("a number has no entries")
+    return boxed(self).view(TracedArray)[key]
+
+
+def _as_type(self: Any, dtype: Any) -> Any:
+    """``x.astype(int)``, which numbers of NumPy have as well."""
+    return boxed(self).view(TracedArray).astype(dtype).item()
+
+
 # a number among arrays is one, too
-for _name, _method in (("__array_ufunc__", _by_entries), ("__array_function__", _moved)):
+OF_NUMBERS: dict[str, Any] = {
+    "__array_ufunc__": _by_entries,
+    "__array_function__": _moved,
+    "__getitem__": _with_axes,
+    "astype": _as_type,
+}
+for _name, _method in OF_NUMBERS.items():
     setattr(Traced, _name, _method)

@@ -166,9 +166,14 @@ class Traced:
 
     # no len(x), iter(x) and x[0], which a number does not have either
     __float__, __int__, __complex__ = _plain(float), _plain(int), _plain(complex)
-    __index__, __round__, __hash__ = _plain(operator.index), _plain(round), _plain(hash)
+    __index__, __hash__ = _plain(operator.index), _plain(hash)
     __str__, __repr__, __format__ = _plain(str), _plain(repr), _plain(format)
     __reduce_ex__ = _plain(lambda value, _: (type(value), (value,)))
+
+    def __round__(self, digits: int | None = None) -> Any:
+        if digits is not None or not self.recorder.open:
+            return _plain(round)(self, *([] if digits is None else [digits]))
+        return whole(np.rint, self)
 
     def __divmod__(self, other: Any) -> Any:
         return self // other, self % other

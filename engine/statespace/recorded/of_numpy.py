@@ -21,7 +21,7 @@ from engine.statespace.recorded.arrays import (
     traced_array,
 )
 from engine.statespace.recorded.numbers import Traced, UntraceableError, record
-from engine.statespace.recorded.of_python import kind_of, unless_traced, within
+from engine.statespace.recorded.of_python import kind_of, searched, unless_traced, within
 from engine.statespace.rows import Array
 
 CHOICES = 30  # points of an interpolation that differ from row to row, of which np.choose takes 32
@@ -175,6 +175,14 @@ def _interp(x: Any, xp: Any, fp: Any, **options: Any) -> Any:
     return traced_array(each(np.asarray(_as_objects(x)).view(np.ndarray)))
 
 
+def _searched(grid: Any, x: Any, side: str = "left") -> Any:
+    """``np.searchsorted`` in a grid of numbers."""
+    if has_traced(grid):
+        raise UntraceableError
+    plain = np.asarray(_as_objects(x)).view(np.ndarray)
+    return traced_array(np.frompyfunc(lambda one: searched(grid, one, side), 1, 1)(plain))
+
+
 def _clip(x: Any, a_min: Any = None, a_max: Any = None) -> Any:
     """``np.clip``."""
     x = x if a_min is None else np.maximum(x, a_min)
@@ -230,6 +238,7 @@ OF_ENTRIES: dict[Any, Any] = {
     np.where: _where,
     np.clip: unless_traced(np.clip, _clip),
     np.interp: _interp,
+    np.searchsorted: unless_traced(np.searchsorted, _searched),
     np.select: unless_traced(np.select, _select),
     np.isclose: unless_traced(np.isclose, _all_close),
     np.allclose: unless_traced(

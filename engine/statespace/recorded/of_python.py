@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Callable
 from functools import reduce
@@ -10,8 +11,15 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from engine.statespace.recorded.arrays import TracedArray, as_float, as_numbers, has_traced, opened
-from engine.statespace.recorded.numbers import Traced, record, whole
+from engine.statespace.recorded.arrays import (
+    TracedArray,
+    as_float,
+    as_numbers,
+    as_whole,
+    has_traced,
+    opened,
+)
+from engine.statespace.recorded.numbers import Traced, check_finite, record, whole
 
 
 def _plain_or(function: Callable[..., Any], ufunc: Callable[..., Any]) -> Callable[..., Any]:
@@ -105,12 +113,13 @@ def _extreme(function: Callable[..., Any], beyond: np.ufunc) -> Callable[..., An
 class _Number:
     """``float`` and the like: called, and given as a type."""
 
-    def __init__(self, kind: Any) -> None:
-        self._kind, self.dtype = kind, np.dtype(kind)
+    def __init__(self, kind: Any, convert: Callable[[Any], Any]) -> None:
+        self._kind, self._convert, self.dtype = kind, convert, np.dtype(kind)
 
-    def __call__(self, x: Any = 0.0) -> Any:
+    def __call__(self, *given: Any) -> Any:
+        x = given[0] if given else 0
         x = x.item() if isinstance(x, TracedArray) else x
-        return as_float(x) if isinstance(x, Traced) else self._kind(x)
+        return self._convert(x) if isinstance(x, Traced) else self._kind(x, *given[1:])
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._kind, name)
@@ -153,7 +162,32 @@ OTHER_NAME = {
     math.lgamma: _of_numbers_only(scipy.special.gammaln),
 }
 IN_MATH = {getattr(math, name): getattr(np, name) for name in SAME_NAME.split()} | OTHER_NAME
+
+
+def _bisected(function: Callable[..., Any], side: str) -> Callable[..., Any]:
+    """``bisect`` in a list of numbers."""
+
+    def own(grid: Any, x: Any, **options: Any) -> Any:
+        if options or has_traced(grid):
+            return function(grid, x, **options)
+        return searched(list(grid), x, side)
+
+    return unless_traced(function, own)
+
+
+def searched(grid: Any, x: Any, side: Any = "left") -> Any:
+    """``np.searchsorted`` of a number that is one."""
+    points = np.asarray(as_numbers(grid), dtype=float)
+
+    def place(value: Any) -> Any:
+        return np.searchsorted(points, check_finite(value), side=side).astype(float)
+
+    return record(place, (x.item() if isinstance(x, TracedArray) else x,))
+
+
 OF_PYTHON: dict[Any, Any] = {
+    bisect.bisect_left: _bisected(bisect.bisect_left, "left"),
+    bisect.bisect_right: _bisected(bisect.bisect_right, "right"),
     **{function: _plain_or(function, ufunc) for function, ufunc in IN_MATH.items()},
     math.floor: _whole(math.floor, np.floor),
     math.ceil: _whole(math.ceil, np.ceil),
@@ -162,14 +196,15 @@ OF_PYTHON: dict[Any, Any] = {
     math.hypot: _hypot,
     math.dist: _dist,
     math.isclose: unless_traced(math.isclose, _close),
-    np.float64: _Number(np.float64),
-    float: _Number(float),
+    np.float64: _Number(np.float64, as_float),
+    float: _Number(float, as_float),
+    int: _Number(int, as_whole),
     isinstance: _isinstance,
     max: _extreme(max, np.greater),
     min: _extreme(min, np.less),
 }
-KINDS = {OF_PYTHON[kind]: kind for kind in (np.float64, float)}
-NAMES = {one.__name__: OF_PYTHON[one] for one in (float, isinstance, max, min)}
+KINDS = {OF_PYTHON[kind]: kind for kind in (np.float64, float, int)}
+NAMES = {one.__name__: OF_PYTHON[one] for one in (float, int, isinstance, max, min)}
 
 
 def kind_of(dtype: Any) -> Any:

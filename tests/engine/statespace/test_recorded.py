@@ -1,5 +1,6 @@
 """Functions written for one time and one parameter vector, evaluated for many rows as they are alone."""
 
+import bisect
 import copy
 import functools
 import math
@@ -20,6 +21,7 @@ from scipy.special import expit
 
 import engine
 from engine import Gaussian, MixedModel, Parameter, Series
+from engine.errors import ModelError
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.recorded import NotByRowsError, by_rows
 from engine.statespace.recorded.paths import Path, graft
@@ -515,6 +517,20 @@ def test_the_first_call_of_what_was_recorded_is_looked_at():
         assert_same(model.transition(*given), alone(model, *given))
 
 
+def test_an_entry_that_a_table_does_not_have_is_told_as_the_function_tells_it():
+    def dynamics(a, u, t, dt, th):
+        return [DAY[int(u[0])], th.w], SHAPE[:, :1], Q
+
+    made = by_rows(dynamics, ((2,), (2, 1), (2, 2)))
+    a, u, t, dt, theta = rows_of(0, model_of(loops))
+    made(a, np.clip(u, -1.0, 1.0), t, dt, theta)
+    with pytest.raises(NotByRowsError) as told:
+        made(a, np.where(u > 0.0, 4.0, u), t, dt, theta)
+    assert told.value.here
+    with pytest.raises(ModelError, match="index 4 is out of bounds"):
+        model_of(dynamics).transition(a, np.where(u > 0.0, 4.0, u), t, dt, theta)
+
+
 def test_what_arrays_give_where_python_raises_is_left_to_the_function():
     def dynamics(a, u, t, dt, th):
         return [math.gamma(u[0]), math.floor(u[1])], SHAPE[:, :1], Q
@@ -649,12 +665,43 @@ def libraries(a, u, t, dt, th):
     )
 
 
+DAY = np.array([0.0, 1.0, 0.3, 0.5])
+MAP = np.arange(12.0).reshape(4, 3) ** 2
+YEAR = np.sin(np.arange(2000.0))
+GRID = [-1.0, 0.0, 0.7]
+
+
+def tables(a, u, t, dt, th):
+    hour = int(t / 0.5) % 4
+    gains = np.array([th.w, th.k, 2.0])
+    load = DAY[hour] + MAP[hour] @ np.ones(3) + MAP[hour, round(t) % 3] + YEAR[int(100 * t)]
+    place = bisect.bisect(GRID, u[0]) + np.searchsorted(GRID, u[1]) - bisect.bisect_left(GRID, 0.0)
+    drift = gains[math.floor(t) % 3] + DAY[-1 - hour] + DAY[(np.asarray(t) * 3).astype(int) % 4]
+    return (
+        [a[:, 0] * DAY[place % 4] + load, drift],
+        SHAPE[:, :1],
+        np.exp(np.asarray(th.q))[..., None] * Q,
+    )
+
+
 RATES = {"lift": helper}
 
 
 @pytest.mark.parametrize(
     "written",
-    [masks, opened, silent, decided, kinds, heights, objects, as_method, vectorized, libraries],
+    [
+        masks,
+        opened,
+        silent,
+        decided,
+        kinds,
+        heights,
+        objects,
+        as_method,
+        vectorized,
+        libraries,
+        tables,
+    ],
     ids=lambda f: f.__name__,
 )
 def test_more_that_is_written_so_is_recorded(written):
