@@ -168,5 +168,6 @@ def on_tape(
             lines = kept.lines(thetas, copies, step, record)
     if lines is None:
         return None
-    u = np.concatenate([u, lines.columns], axis=1) if lines.columns.size else u
+    if lines.columns.size:
+        u = np.array(np.concatenate([u, lines.columns], axis=1), order="C")
     return OnTape(kept, lines, call, u, t, dt, function.shapes, function.name == "dynamics")

@@ -20,6 +20,7 @@ from engine.diagnose.effects.of_series import setting_for
 from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.heavy_tails import with_mixture
 from engine.filters.sigma_point import moment_filter, moment_path, run_on_tape
+from engine.filters.taped import moving_on_tape
 from engine.models.registry import get_model
 from engine.statespace.continuous import continuous
 from engine.statespace.model import Gaussian, MixedModel, Parameter
@@ -371,8 +372,12 @@ def test_what_inputs_and_times_alone_tell_may_be_any_function(even, monkeypatch)
         )
 
     model = level(dynamics)
-    taped, called = both(model, thetas_of(model, 1), series_for(model, 1, even), monkeypatch)
+    series, thetas = series_for(model, 1, even), thetas_of(model, 1)
+    taped, called = both(model, thetas, series, monkeypatch)
     assert_same(taped, called)
+    own = moving_on_tape(FilterSteps(model, Thetas(model, thetas), series), np.zeros((3 * K, 1)))
+    assert own.u.shape[1] > series.u.shape[1]
+    assert own.u.flags.c_contiguous  # the one layout that kernels are compiled for
 
 
 def test_a_filter_that_is_lost_is_lost_on_tape_too():
