@@ -51,7 +51,8 @@ def of_library(function: Any) -> Callable[..., Any]:
             return type(found)(map(opened, found)) if type(found) is tuple else opened(found)
         if any(map(callable, [*args, *options.values()])):
             raise UntraceableError  # it may have traced numbers of its own
-        if type(function).__module__.startswith(CURVES) and len(args) == 1 and not options:
+        curve = type(function).__module__.startswith(CURVES) and len(args) == 1 and not options
+        if curve and not isinstance(args[0], list | tuple):
             return _curve(function, args[0])
         return _whole(function, args, options)
 
@@ -60,8 +61,6 @@ def of_library(function: Any) -> Callable[..., Any]:
 
 def _curve(function: Any, x: Any) -> Any:
     """A curve, which takes the rows together."""
-    if isinstance(x, list | tuple):
-        raise UntraceableError
 
     def height(value: Any) -> Any:
         found = record(function, (value,))

@@ -16,7 +16,7 @@ import scipy.linalg
 import scipy.signal
 from hypothesis import Phase, given, settings
 from numpy.linalg import solve
-from scipy.interpolate import CubicSpline, interp1d
+from scipy.interpolate import CubicSpline, RegularGridInterpolator, interp1d
 from scipy.special import expit
 
 import engine
@@ -652,11 +652,20 @@ SPLINE = CubicSpline([-3.0, -1.0, 0.5, 3.0], [0.0, 0.3, 1.0, 0.7])
 LINE = interp1d([-3.0, 0.0, 4.0], [1.0, 0.0, 2.0], fill_value="extrapolate")
 
 
+FIELD = RegularGridInterpolator(
+    ([-9.0, 0.0, 9.0], [-9.0, 9.0]), [[0.0, 1.0], [2.0, 1.0], [3.0, 5.0]]
+)
+
+
 def libraries(a, u, t, dt, th):
     F, G = np.array([[0.0, 1.0], [-(th.w**2), -0.3]]), np.array([[0.0], [th.k]])
     A, B, *_ = scipy.signal.cont2discrete((F, G, np.eye(2), np.zeros((2, 1))), dt)
     S = scipy.linalg.solve_discrete_lyapunov(A, np.diag([th.q, 1e-4]))
-    largest = np.linalg.eigvalsh(S)[-1] + scipy.linalg.block_diag([[th.k]], S)[0, 0]
+    largest = (
+        np.linalg.eigvalsh(S)[-1]
+        + FIELD((u[0], math.tanh(t))).item()
+        + scipy.linalg.block_diag([[th.k]], S)[0, 0]
+    )
     f = A @ np.array([u[0], t]) + B[:, 0] * u[1]
     return (
         [f[0] + SPLINE(a[:, 0]) + float(LINE(u[0])), f[1] * largest],
