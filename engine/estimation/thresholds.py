@@ -20,6 +20,7 @@ from engine.statespace.model import Array, MixedModel, Theta
 from engine.statespace.points import Points
 
 SHARES = (0.1, 0.0125)  # of a parameter's size, over which changes are compared
+LONGER = 2.8  # times, at least: at a bound both steps may be cut to what is left
 KEPT = 0.6  # of the change over the longer step: a jump is as high over the shorter one, a root 0.35 of it
 SEEN = 1e-6  # of the largest value: less is rounding
 POINTS = 4000  # of all particles, about as many
@@ -56,13 +57,17 @@ def jumping(
 
 def _jumps(points: Points, here: Sequence[Array], theta: Array, k: int) -> bool:
     """Whether some value of the model changes hardly less over a far shorter step in parameter k."""
-    for side in (0, 1):
+    ends = [either_side(points.model, theta, k, share) for share in SHARES]
+    for both in zip(*ends, strict=True):
+        far_off, near_by = (abs(end[k] - theta[k]) for end in both)
+        if far_off < LONGER * near_by:
+            continue
         far, near = (
             [
                 np.abs(there - now).max(axis=(0, 1), initial=0.0)
-                for there, now in zip(_values(points, end[side]), here, strict=True)
+                for there, now in zip(_values(points, end), here, strict=True)
             ]
-            for end in (either_side(points.model, theta, k, share) for share in SHARES)
+            for end in both
         )
         for long, short, now in zip(far, near, here, strict=True):
             seen = short > SEEN * np.abs(now).max(axis=(0, 1), initial=0.0)

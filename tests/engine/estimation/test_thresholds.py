@@ -81,6 +81,15 @@ def test_parameters_that_move_a_jump_are_known(dynamics, more, found):
     assert [model.parameter_names[k] for k in indices[jumps]] == found
 
 
+def test_steps_that_a_bound_cuts_are_no_jump():
+    """Next to it the longer one is no longer than the other, and what changes by both is as large."""
+    model = model_of(lambda a, u, t, dt, theta: ([theta.keep * a[:, 0]], NONE, [[0.3]]))
+    series = engine.simulate(model, None, 100, 1).series
+    for keep in (0.999, -0.999):
+        theta = model.theta({"keep": keep})
+        assert not jumping(model, theta, [series], np.arange(2), 50).any()
+
+
 @pytest.mark.slow
 def test_a_level_at_which_noise_grows_is_estimated():
     """It stood at its start, 88 nats below the maximum, and was said not to enter the likelihood."""
