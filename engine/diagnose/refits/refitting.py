@@ -28,11 +28,12 @@ from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.statespace.model import Array, MixedModel
 
-REFITS = 12  # effects refitted in a round
-# Where a statistic is above the number of readings: so large an effect bends all scores.
+REFITS = (
+    12  # effects refitted in a round: a sensor that clips may gain four times what its score shows
+)
+# Where a statistic is above the number of readings: so large an effect bends all scores ...
 MORE_REFITS = 24
-WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
-AT_LEAST = 8  # ... unless it is among the first few: large effects bend the scores of others
+WORTH = 0.4  # ... but of these only what has so much of the best statistic is refitted
 # p-value of the tails that are left beside one bad reading: then there are more of them
 AGAIN = 0.01
 TIED = 1e-6  # share of a statistic: rounding, and so units, may not decide which of two is refitted
@@ -287,7 +288,7 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     best = worth[named[0].effect.name] if named else 0.0
     most = REFITS if best <= series.observed.sum() else MORE_REFITS
     values = [worth[s.effect.name] for s in named]
-    first, most = _with_ties(values, AT_LEAST), _with_ties(values, most)
+    first, most = _with_ties(values, REFITS), _with_ties(values, most)
     chosen = [s for i, s in enumerate(named[:most]) if i < first or values[i] >= WORTH * best]
     chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]
     tails = [s for s in seen.scores if s.effect.traits.outliers]

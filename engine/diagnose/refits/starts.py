@@ -84,10 +84,18 @@ def best_start(
     further: Array | None,
     visited: Visited,
 ) -> tuple[Array, float]:
-    """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
+    """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null.
+
+    And of a share, what it is as a rule: all of it. A sensor that clips shows next to nothing beyond its limit,
+    where the filter has followed it, and so the one-step estimate is a small part.
+    """
     sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01])
     starts = np.repeat(places, len(sizes), axis=0)
     starts[:, n] *= np.tile(sizes, len(places))
+    if extended.lower[n] == 0.0 and np.isfinite(extended.upper[n]):
+        whole = places.copy()
+        whole[:, n] = extended.upper[n]
+        starts = np.vstack([starts, whole])
     if further is not None:
         starts = np.vstack([starts, further])
     starts = np.clip(starts, extended.lower, extended.upper)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 import engine
+from engine.diagnose import make_effect
+from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.refits import starts
 from engine.diagnose.search.pipeline import find_causes
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.neighbours import Visited
+from tests.engine.diagnose import clipped
 
 AMPLIFIER = engine.continuous(
     name="amplifier",
@@ -94,3 +100,24 @@ def test_the_lowest_reading_is_no_second_limit(seed):
     theta = found.search.final.theta
     assert theta["saturation_sensor_gauge_side"] == 1.0
     assert theta["saturation_sensor_gauge_limit"] == pytest.approx(3.6, abs=0.01)
+
+
+def test_the_search_of_a_clip_begins_with_all_that_is_beyond_the_extreme_reading(monkeypatch):
+    """A nearly noise-free filter follows what clips, whose first-order size is a small part of it."""
+    series = clipped.series()
+    fit = quasi_ml(clipped.MODEL, series)
+    setting = setting_for(clipped.MODEL, series, np.asarray(fit.theta))
+    effect = make_effect("saturation-sensor:y", setting)
+    tried = []
+
+    def values(model, given, thetas, visited=None):
+        tried.extend(thetas.tolist())
+        return np.arange(len(thetas), dtype=float)
+
+    monkeypatch.setattr(starts, "log_likelihoods", values)
+    model, n = effect.apply(clipped.MODEL), len(fit.theta)
+    start = np.array([*fit.theta, 0.02, *(p.default for p in effect.parameters[1:])])
+    places = starts.places(effect, start, n)
+    starts.best_start(model, series, places, start, n, None, Visited())
+    at_ends = {(one[n], one[n + 1], one[n + 2]) for one in tried}
+    assert {(1.0, series.y.max(), 1.0), (1.0, series.y.min(), -1.0)} <= at_ends

@@ -41,8 +41,10 @@ class Clip:
             # what clips on both sides ends at both limits, wherever it is most of the time
             middle, half = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
             probes += [(middle + share * half, 0.0, middle) for share in SHARES[1:]]
-        above = [(setting.quantile(channel, share), 1.0) for share in SHARES[1:]]
-        below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in SHARES[1:]]
+        # readings that are clipped end at their limit
+        shares = (*SHARES[1:], 1.0) if channel in setting.model.outputs else SHARES[1:]
+        above = [(setting.quantile(channel, share), 1.0) for share in shares]
+        below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in shares]
         probes += [(*one, *origin.probe) for one in (*above, *below)]
         members = origin.counted(*own) | {"probes": tuple(probes)}
         # of an :class:`Effect` whose size is the share of the excess that is lost
