@@ -12,7 +12,7 @@ from engine.arrays import Array
 from engine.data.lattice import lattice_step
 
 FEWEST_RUNS = 20  # without which nobody knows how long a value usually stays
-USUAL = 0.9  # share of the runs that are as long as the others, but for a row
+USUAL = 0.9  # share of the rows in runs as long as the others, but for a row: what clips has some long ones
 MEAN = 1.4  # rows: rounding so coarse that it alone repeats as many moves by less than MOVE
 MOVE = 5.0  # steps of the lattice: what moves by fewer repeats itself as it is rounded
 
@@ -26,7 +26,9 @@ def repeated(name: str, y: Array) -> list[str]:
     if len(lengths) < FEWEST_RUNS or lengths.mean() < MEAN:
         return []
     usual = int(np.median(lengths))
-    near = max(np.isin(lengths, (k, k + 1)).mean() for k in (usual - 1, usual))
+    near = (
+        max(lengths[np.isin(lengths, (k, k + 1))].sum() for k in (usual - 1, usual)) / lengths.sum()
+    )
     step = lattice_step(seen)
     moves = np.median(np.abs(changes[changes != 0.0]))
     if near < USUAL or (step is not None and moves < MOVE * step):

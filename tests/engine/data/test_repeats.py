@@ -44,3 +44,10 @@ def test_what_repeats_itself_otherwise():
     some[np.arange(300) % 5 != 0] = np.nan  # as it should be
     for y in (slow, counts, coarse, steps, once, some, noisy()):
         assert "rows on end" not in told(y)
+
+
+def test_what_clips_rests_at_its_limit_and_nowhere_else():
+    wave = 3.0 * np.sin(np.arange(600) / 10.0) + 0.1 * np.random.default_rng(3).standard_normal(600)
+    said = told(np.minimum(wave, 1.0))
+    assert "rows on end" not in said
+    assert "looks clipped" in said
