@@ -41,7 +41,7 @@ other things by the pauses of the multisine, where next to nothing is left), and
 the search ends.""",
     "boucwen": """\
 As documented: hysteresis with a state of its own, by Bouc and Wen with both its terms (gamma and delta). Its
-test error is a thirty-fifth of the base's, less than half of that of published black boxes (0.012 to 0.019 mm),
+test error is a twenty-ninth of the base's, less than half of that of published black boxes (0.012 to 0.019 mm),
 and below the 0.0063 mm of the reference. Four steps a sample were chosen for what was found; the base model is
 exact with one.""",
     "battery": """\
