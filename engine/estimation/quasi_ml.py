@@ -156,6 +156,7 @@ def quasi_ml(  # noqa: PLR0913
         )
     converged, given_up, iterations, damping, whole = False, False, 0, DAMPING, True
     gains: list[float] = []
+    idle = 0  # steps in turn that gained next to nothing
     while iterations < max_iterations:
         iterations += 1
         if callback is not None:
@@ -184,13 +185,16 @@ def quasi_ml(  # noqa: PLR0913
                 break
             damping = max(damping * 1e3, 1e-4)
             continue
+        free_step = whole and damping <= DAMPING
         damping = max(damping / 10.0, DAMPING)
         if not np.isfinite(there[0]):
             break
         gained, theta = there[0] - value, moved
         gains.append(gained)
         value, g, H = there
-        if gained < 0.1 * tolerance:
+        # a step that was cut short may gain next to nothing at a kink beside a long way up
+        idle = idle + 1 if gained < 0.1 * tolerance else 0
+        if idle > 1 or (idle and free_step):
             converged = True
             break
     best = Theta(theta, model.parameter_names)
