@@ -22,7 +22,7 @@ def test_a_search_goes_on_after_a_step_that_was_cut_short(monkeypatch):
         calls.append(value)
         if len(calls) == 1:
             moved = theta + 0.0
-            moved[indices] += 1e-7 * direction
+            moved[indices] += 1e-12 * direction
             return moved, module.derivatives(model, given, moved, indices, visited), False
         return own(model, given, theta, indices, direction, value, expected, visited, whole)
 
