@@ -62,9 +62,8 @@ class Trial:
     def agreeing(self, rows: Rows, kind: Kind | None, thorough: bool, seed: int) -> Result | None:
         """The results of one call, None where other calls of the same rows say otherwise."""
         M = len(rows.a)
-        if (
-            thorough and kind is not None and M > COMPANY
-        ):  # a loop over rows may make M times M numbers
+        # first some of them: a loop over rows may make M times M numbers
+        if thorough and kind is not None and M > COMPANY:
             few = np.linspace(0, M - 1, COMPANY).astype(np.intp)
             self.together(*rows.take(kind, few).fresh())
         rng = np.random.default_rng((seed, M))

@@ -7,8 +7,10 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, extend, make_effect
+from engine.diagnose.effects.kinds import slopes
 from engine.diagnose.effects.kinds.parameters import stopped_share
 from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.rates import slopes_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.score_columns import effect_columns
 from engine.diagnose.symptoms.runs import noise_free
@@ -262,6 +264,34 @@ def test_a_curve_of_one_state_is_asked_on_no_dependence_on_that_state():
     ]
     assert "lower->k3" not in asked
     assert {"upper->k3", "upper->k1"} <= {*asked}
+
+
+def test_nor_where_that_curve_moves_other_states_within_the_step():
+    """Friction of a speed, which takes the position along."""
+    asked = [
+        effect.channel
+        for effect in all_effects(Setting(engine.get_model("servo")), ["parameter-slope"])
+    ]
+    assert "velocity->Fc" not in asked
+    assert "position->Fc" in asked
+
+
+def test_a_model_that_refuses_some_states_beside_others_is_asked_all_the_same(monkeypatch):
+    """The states at which it is looked whether a curve is one of a state alone are those of other rows."""
+    calls = []
+
+    def refusing(*given):
+        calls.append(given)
+        if len(calls) % 2 == 0:
+            raise engine.ModelError("sqrt of a negative number")
+        return slopes_by(*given)
+
+    setting = Setting(engine.get_model("tanks"))
+    known = [effect.channel for effect in all_effects(setting, ["parameter-slope"])]
+    monkeypatch.setattr(slopes, "slopes_by", refusing)
+    asked = [source for source in setting.moved if not slopes._bends(setting, "k3", source)]
+    assert asked == list(setting.moved)
+    assert "lower->k3" not in known
 
 
 @pytest.mark.parametrize(("source", "odd"), [("velocity", True), ("position", False)])

@@ -7,12 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.diagnose.effects.channels import Kind
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.parameters import ONTO, running_parameter, unit_of
-from engine.diagnose.effects.rates import slopes_by
+from engine.diagnose.effects.rates import Points, slopes_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Traits
 from engine.errors import EngineError
@@ -160,8 +161,7 @@ def _weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
         moves, readings = slopes_by(setting.model, theta, points, parameter)
     except (EngineError, np.linalg.LinAlgError):
         return "", ""  # nor can the model be used with a parameter that changes
-    felt = np.abs(moves / points.scale).max(axis=0)
-    rows = np.flatnonzero(felt > MOVED * felt.max())
+    rows = _moved_most(moves, points)
     if readings.any() or len(rows) != 1 or list(setting.states)[rows[0]] not in setting.targets:
         return None
     column, target = moves[:, rows[0]], list(setting.states)[rows[0]]
@@ -185,18 +185,31 @@ def _bends(setting: Setting, parameter: str, source: str) -> bool:
     """Whether all that a parameter does is a curve of the state ``source`` in one equation.
 
     As an outflow that is a root of the level does. With a dependence on it this is another curve, and there are
-    plainer ones.
+    plainer ones. Where the model refuses other states beside that one nobody knows.
     """
     points, theta = setting.points(setting.model)
     at = list(setting.states).index(source)
     x = np.roll(points.x, 1, axis=0)
     x[:, at] = points.x[:, at]
     others = replace(points, x=x, u=np.roll(points.u, 1, axis=0))
-    here, there = (
-        np.hstack(slopes_by(setting.model, theta, each, parameter)) for each in (points, others)
-    )
-    apart = np.linalg.norm(there - here, axis=0) > ALIKE * np.linalg.norm(here, axis=0)
-    return bool(not apart.any() and np.count_nonzero(here.any(axis=0)) == 1)
+    both = []
+    try:
+        for each in (points, others):
+            moves, readings = slopes_by(setting.model, theta, each, parameter)
+            rows = _moved_most(moves, points)
+            both.append(np.hstack([moves[:, rows], readings[:, readings.any(axis=0)]]))
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+    here, there = both
+    if here.shape[1] != 1 or there.shape[1] != 1:
+        return False
+    return bool(np.linalg.norm(there - here) <= ALIKE * np.linalg.norm(here))
+
+
+def _moved_most(moves: Array, points: Points) -> NDArray[np.intp]:
+    """The states that a parameter moves, by ``moves`` (n, nx); what else does is a step that is finite."""
+    felt = np.abs(moves / points.scale).max(axis=0)
+    return np.flatnonzero(felt > MOVED * felt.max())
 
 
 KINDS: list[Kind] = [("parameter-slope", _slope, _each_slope)]
