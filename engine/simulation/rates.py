@@ -28,11 +28,11 @@ def check_no_rates(model: MixedModel, series: Series, theta: Theta) -> None:
         return
     part = series.part(0, min(len(series), ROWS))
     try:
-        own = _error(model, part, theta)
-        other = _error(by_rates(model), part, theta) if own > GOOD else own
+        other = _error(by_rates(model), part, theta)  # of most models off by more than that
+        own = _error(model, part, theta) if other < GOOD else 0.0
     except (EngineError, np.linalg.LinAlgError):
         return
-    if other < min(FAR_BETTER * own, GOOD):  # an unstable map is off by more than any level
+    if own > GOOD and other < FAR_BETTER * own:  # an unstable map is off by more than any level
         raise ModelError(
             f"model '{model.name}', dynamics: what it returns does not depend on dt, and is taken for the "
             "next state. Taken for its rate of change it explains these data: free runs are off by "

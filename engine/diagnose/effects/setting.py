@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -91,8 +91,15 @@ class Setting:
 
     @cached_property
     def made(self) -> dict[Any, Any]:
-        """The effects made in this setting so far, by maker and channel."""
+        """The effects made in this setting so far, by maker and channel; what `once` was asked."""
         return {}
+
+    def once(self, function: Callable[..., Any], *of: str) -> Any:
+        """``function(setting, *of)``, worked out the first time: the steps of a search ask again."""
+        key = function, *of
+        if key not in self.made:
+            self.made[key] = function(self, *of)
+        return self.made[key]
 
     # ---- sizes --------------------------------------------------------------------------------
 

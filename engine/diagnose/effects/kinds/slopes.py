@@ -138,7 +138,7 @@ def _each_slope(setting: Setting) -> Iterator[str]:
     for target in setting.steering:
         if weighed_by(setting, target) is None:
             for source in setting.moved:
-                if not _bends(setting, target, source):
+                if not setting.once(_bends, target, source):
                     yield f"{source}{ONTO}{target}"
 
 
@@ -148,17 +148,14 @@ def weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
     None where it does more. Else its slope is called what it is: a product with that channel, a square, or a
     coupling.
     """
-    key = weighed_by, parameter
-    if key not in setting.made:
-        setting.made[key] = _weighed_by(setting, parameter)
-    known: tuple[str, str] | None = setting.made[key]
+    known: tuple[str, str] | None = setting.once(_weighed_by, parameter)
     return known
 
 
 def _weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
-    points, theta = setting.points(setting.model)
+    points, _ = setting.points(setting.model)
     try:
-        moves, readings = slopes_by(setting.model, theta, points, parameter)
+        moves, readings = setting.once(_slopes, parameter)
     except (EngineError, np.linalg.LinAlgError):
         return "", ""  # nor can the model be used with a parameter that changes
     rows = _moved_most(moves, points)
@@ -192,18 +189,24 @@ def _bends(setting: Setting, parameter: str, source: str) -> bool:
     x = np.roll(points.x, 1, axis=0)
     x[:, at] = points.x[:, at]
     others = replace(points, x=x, u=np.roll(points.u, 1, axis=0))
-    both = []
     try:
-        for each in (points, others):
-            moves, readings = slopes_by(setting.model, theta, each, parameter)
-            rows = _moved_most(moves, points)
-            both.append(np.hstack([moves[:, rows], readings[:, readings.any(axis=0)]]))
+        here, there = (
+            np.hstack([moves[:, _moved_most(moves, points)], readings[:, readings.any(axis=0)]])
+            for moves, readings in (
+                setting.once(_slopes, parameter),
+                slopes_by(setting.model, theta, others, parameter),
+            )
+        )
     except (EngineError, np.linalg.LinAlgError):
         return False
-    here, there = both
     if here.shape[1] != 1 or there.shape[1] != 1:
         return False
     return bool(np.linalg.norm(there - here) <= ALIKE * np.linalg.norm(here))
+
+
+def _slopes(setting: Setting, parameter: str) -> tuple[Array, Array]:
+    points, theta = setting.points(setting.model)
+    return slopes_by(setting.model, theta, points, parameter)
 
 
 def _moved_most(moves: Array, points: Points) -> NDArray[np.intp]:
