@@ -52,8 +52,9 @@ class Alarm:
         rank = np.argsort(np.argsort(statistic, kind="stable"))
         group = rank * len(few) // len(statistic)
         heavier = _heavier(statistic, v, shared, rng)
-        known = heavier > CLEARLY_HEAVIER  # the screen then counts it, and calibrates the product
-        single = np.maximum(chi2_sf(statistic, 1) * np.where(known, heavier, 1.0), 1e-300)
+        known = heavier > CLEARLY_HEAVIER  # the screen then scales by it, and calibrates what that gives
+        scale = chi2_isf(LEVEL / np.where(known, heavier, 1.0), 1) / chi2_isf(LEVEL, 1)
+        single = np.maximum(chi2_sf(statistic / scale, 1), 1e-300)
         tests = self.tests * np.where(known, 1.0, heavier)
         clear = tests * single ** (1.0 / BOLDEST) <= LEVEL
         first, last = (tests * single ** (1.0 / b[group]) for b in (few, many))

@@ -34,6 +34,7 @@ from engine.statespace.model import Array
 MULTIPLIER_DRAWS = 499  # at least
 DECIDING = 2.5  # of which so many would be enough for a p-value at the level
 COUNTED_DRAWS = 10  # draws above a value, from which their count is its p-value
+EDGE = 0.05  # of the draws tell how heavy their tail is
 CLEARLY_HEAVIER = 2.5  # a tail than chi2: in 499 draws of chi2 the 95 % point scatters by a fifth
 
 
@@ -186,13 +187,14 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
     T = tests[0].s.shape[1]
     n = max(MULTIPLIER_DRAWS, int(np.ceil(DECIDING / alpha)) - 1)
     signs = rng.choice(np.array([-1.0, 1.0]), size=(n, T))
-    observed, drawn, effective = [], [], []
+    observed, drawn, tests_each = [], [], []
     for test in tests:
         found = test.statistics(test.s.sum(axis=1))
         draws = test.statistics(signs @ test.s.T).max(axis=-1)
-        single = found.size == 1
         tail = 0.5 if test.effect.one_sided else 1.0
-        effective.append(_effective(draws, test) if found.size > 1 else tail * test.tries)
+        family = found.size > 1
+        tail_of = _tail(draws, test.degrees, float(found.size) if family else tail, family)
+        tests_each.append(tail_of.tests if family else tail * test.tries)
         if test.known is not None:
             observed.append(test.known[1])
             drawn.append(rng.random(n))
@@ -201,21 +203,18 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
             # whose signs say nothing
             observed.append(min(1.0, test.tries * float(chi2_sf(found.max(), test.degrees))))
             drawn.append(rng.random(n))
-        elif single:  # the limiting distribution resolves smaller p-values than the draws
-            factor = tail * _heavier(draws, test, tail)
-            observed.append(min(1.0, factor * float(chi2_sf(found.max(), test.degrees))))
-            drawn.append(np.minimum(1.0, factor * chi2_sf(draws, test.degrees)))
         else:
-            maxima = np.concatenate([[found.max()], draws])
-            p_values = _family_p(maxima, draws, test.degrees, effective[-1])
+            # where the draws are too few to count, and for all of a single test, by their tail
+            counted = COUNTED_DRAWS if family else np.inf
+            p_values = tail_of.p_values(np.append(found.max(), draws), draws, counted)
             observed.append(float(p_values[0]))
             drawn.append(p_values[1:])
     lowest = np.min(drawn, axis=0)
     threshold = float(chi2_isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
-    order = sorted(range(len(tests)), key=lambda i: observed[i])
-    scores = [_score(tests[i], observed[i], effective[i]) for i in order]
+    scores = [_score(*of) for of in zip(tests, observed, tests_each, strict=True)]
+    order = sorted(range(len(tests)), key=lambda i: (observed[i], -scores[i].statistic))
     likenesses = _likenesses([tests[i] for i in order])
-    result = Screen(tuple(scores), 1.0, threshold, likenesses, lowest)
+    result = Screen(tuple(scores[i] for i in order), 1.0, threshold, likenesses, lowest)
     return replace(result, p_value=result.family_wise(result.smallest))
 
 
@@ -255,30 +254,38 @@ def _unit(rows: Array) -> Array:
     return np.asarray(np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 0.0))
 
 
-def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Array:
-    """p (n,) of maxima over a family: from the draws, beyond the last of them by the tail they show.
+@dataclass(frozen=True)
+class _Tail:
+    """The tail of a statistic: of the largest of so many independent ``tests``, each ``scale`` times chi2."""
 
-    Data and draws go by the same rule, so that its error is in both.
+    tests: float
+    scale: float
+    degrees: int
+
+    def p_values(self, values: Array, draws: Array, counted: float) -> Array:
+        """p (n,) of values, from the draws above them where these are ``counted`` at least.
+
+        Data and draws go by the same rule, so that its error is in both.
+        """
+        beyond = np.minimum(1.0, self.tests * chi2_sf(values / self.scale, self.degrees))
+        if not np.isfinite(counted):
+            return np.asarray(beyond)
+        count = (draws >= values[:, None]).sum(axis=1)
+        return np.where(count >= counted, (1.0 + count) / (len(draws) + 1.0), beyond)
+
+
+def _tail(draws: Array, degrees: int, most: float, fewer: bool) -> _Tail:
+    """The tail with the draws' 95 % point: that of ``most`` tests, but for scatter, or of ``fewer``.
+
+    Where a few outlying times make up a score, a random sign leaves it as large as it is: such a score is no
+    evidence, and its draws must not hide the evidence of others. So its values are scaled. With more tests
+    instead, some of the draws would be as improbable as what is sure.
     """
-    count = (draws >= values[:, None]).sum(axis=1)
-    beyond = np.minimum(1.0, effective * chi2_sf(values, degrees))
-    return np.asarray(np.where(count >= COUNTED_DRAWS, (1.0 + count) / (len(draws) + 1.0), beyond))
-
-
-def _heavier(draws: Array, test: Test, tail: float) -> float:
-    """How much heavier than chi2 the draws' tail is, 1 where that is within their own scatter.
-
-    Where a few outlying times make up a score, a random sign leaves it as large as it is: such a
-    score is no evidence, and its draws must not hide the evidence of others.
-    """
-    heavier = _effective(draws, test) / tail
-    return heavier if heavier > CLEARLY_HEAVIER else 1.0
-
-
-def _effective(draws: Array, test: Test) -> float:
-    """n such that n chi2_sf is the tail of the family's maximum at the draws' 95 % point."""
     edge = float(np.quantile(draws, 0.95))
-    return 0.05 / max(float(chi2_sf(edge, test.degrees)), 1e-300)
+    p_edge = float(chi2_sf(edge, degrees))
+    if p_edge * CLEARLY_HEAVIER * most >= EDGE:
+        return _Tail(EDGE / p_edge if fewer else most, 1.0, degrees)
+    return _Tail(most, edge / float(chi2_isf(EDGE / most, degrees)), degrees)
 
 
 def make_test(
