@@ -174,7 +174,7 @@ def _lacking(
     found = [one for name in targets if (one := _of_target(name, way, projection, rng))]
     if not found:
         return None
-    worst = min(found, key=lambda one: one.p_value)
+    worst = min(found, key=lambda one: (one.p_value, one.tail, -one.statistic))
     p_value = min(1.0, len(found) * worst.p_value)
     return replace(worst, p_value=p_value)
 

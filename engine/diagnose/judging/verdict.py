@@ -95,7 +95,7 @@ def _more(left: Screen, names: str) -> str:
 def _nearest(left: Screen) -> str:
     """What a screen's best tests look like, in words after a sentence; "" where nothing was tested."""
     tested = [s for s in left.scores if not (s.effect.traits.unnamed or s.effect.traits.outliers)]
-    nearest = sorted(tested, key=lambda s: (s.p_value, s.effect.name))[:NEAREST]
+    nearest = sorted(tested, key=lambda s: (s.p_value, -s.statistic, s.effect.name))[:NEAREST]
     names = [s.effect.name for s in nearest]
     return f": it looks most like {enumerated(names, 'or')}" if names else ""
 

@@ -107,7 +107,7 @@ def test_what_is_seen_too_little_for_a_further_name_is_said():
     found = searched(DRAG, left=0.01)
     p_values = {STEP: 1e-4, BIAS: 0.2, FORCE: 1e-5, OUTLIERS: 1e-6}
     found.rounds[-1].screen.scores = [
-        SimpleNamespace(effect=make_effect(name, Setting(DRIVE)), p_value=p)
+        SimpleNamespace(effect=make_effect(name, Setting(DRIVE)), p_value=p, statistic=0.0)
         for name, p in p_values.items()
     ]
     (said,) = doubts(found, 0.05)
