@@ -45,12 +45,15 @@ def look_back(
     progress: Progress = lambda stage, share: None,
     screened: Callable[[QuasiFit], Screen] | None = None,
     margin: float = MARGIN,
+    level: float = 1.0,
 ) -> tuple[QuasiFit, list[Round], tuple[str, ...]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices.
 
     ``screened`` screens all effects at a fit, for those of which a round saw too little before the later ones
     were known; the last round has seen them all. The third are choices that were not weighed so, because the
-    BUDGET was spent: their rounds stay as found. Names within the ``margin`` of the best are a set.
+    BUDGET was spent: their rounds stay as found. Names within the ``margin`` of the best are a set. A choice
+    that gains too little beside the others to be seen at the family-wise ``level`` is dropped: it stood for
+    what one of them does.
     ``progress`` is told of every iteration: as many fits as there are rivals, and one without, make a round.
     """
     settled, fits = list(rounds), _Fits(base, series, BUDGET)
@@ -93,7 +96,27 @@ def look_back(
         weighed = settle(found.screen, again, series, setting, margin)
         if weighed.refits:
             settled[i], final = weighed, weighed.refits[0].fit
-    return final, settled, ()
+    gone = _superfluous(settled, level)
+    if gone is None:
+        return final, settled, ()
+    left = [found for found in settled if found is not gone]
+    kept = kept.further(f"without {gone.refits[0].effect.name}")
+    return look_back(base, left, series, setting, kept, progress, screened, margin, level)
+
+
+def _superfluous(settled: Sequence[Round], level: float) -> Round | None:
+    """The round whose choice is least seen beside the others, if not at this level; never the only one."""
+    if len(settled) == 1:
+        return None
+    p_values = []
+    for found in settled:
+        chosen = found.refits[0]
+        scores = [s for s in found.screen.scores if s.effect.name == chosen.effect.name]
+        p_values.append(
+            max((found.screen.family_wise(s.p_of(chosen.gain)) for s in scores), default=0.0)
+        )
+    worst = int(np.argmax(p_values))
+    return settled[worst] if p_values[worst] > level else None
 
 
 def _tell(progress: Progress, begin: float, width: float, j: int, k: int) -> None:

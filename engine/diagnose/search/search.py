@@ -240,13 +240,16 @@ def _one_after_the_other(  # noqa: PLR0913
         among = part_of(progress, 0.0, LOOKED_BACK)
         anew = partial(_screened, series, setting, LATER * alpha, seed, None, silent, kinds=kinds)
         margin = steps_margin(by_steps)
-        fit, named, unweighed = look_back(base, named, series, setting, kept, among, anew, margin)
+        rest = rounds[len(named) :]
+        fit, named, unweighed = look_back(
+            base, named, series, setting, kept, among, anew, margin, alpha
+        )
         if explained and named[-1].refits[0].fit is fit:  # weighed anew, but by the longer steps
             earlier = [r.refits[0].effect.name for r in named[:-1]]
             own = kept.within("looking back by half steps")
             named[-1] = ranked_anew(named[-1], by_steps, earlier, series, setting, own)
             fit = named[-1].refits[0].fit
-        rounds[: len(named)] = named
+        rounds[:] = [*named, *rest]
         told = _iterations(progress, STAGE, LOOKED_BACK)
         fit = kept.within("finally").fit(fit.model, partial(finished, fit, series, told))
     if tails is None:

@@ -1,6 +1,7 @@
 """Two effects at once, the whole catalogue open: found in turn, each weighed again beside the other."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -121,6 +122,27 @@ def test_looking_back_loses_nothing_that_was_found(monkeypatch):
     final, rounds, _ = joint_refit.look_back(base, [one, other], series, setting)
     assert {r.refits[0].effect.name for r in rounds} == set(names)
     assert final.log_likelihood > search.final.log_likelihood - 0.01
+
+
+@pytest.mark.long
+def test_what_gains_too_little_beside_what_was_found_later_is_dropped():
+    """It had been found as a part of what the later one explains as a whole."""
+    rng = np.random.default_rng(5)
+    hidden = ["bias:reading", "cubic:speed"]
+    series = hide(
+        DRIVE, hidden[:1], {"bias_reading": 0.5}, 160, rng, u=levels(rng, 160), dt=0.1
+    ).series
+    found = find_causes(DRIVE, series, seed=1, effects=hidden)
+    true = found.search.rounds[0]
+    assert true.refits[0].effect.name == "bias:reading"
+    stale = tuple(r for r in true.refits if r.effect.name == "cubic:speed")
+    before = replace(true, refits=stale, equivalent=stale)
+    look_back = partial(joint_refit.look_back, found.base, [before, true], series, found.setting)
+    for level, left in ((1.0, ["cubic:speed", "bias:reading"]), (0.05, ["bias:reading"])):
+        final, rounds, _ = look_back(level=level)
+        assert [r.refits[0].effect.name for r in rounds] == left
+        assert ("cubic_speed" in final.model.parameter_names) == (len(left) == 2)
+        assert all(r.refits[0].fit.model is final.model for r in rounds[-1:])
 
 
 @pytest.mark.long
