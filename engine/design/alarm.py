@@ -52,7 +52,7 @@ class Alarm:
         rank = np.argsort(np.argsort(statistic, kind="stable"))
         group = rank * len(few) // len(statistic)
         heavier = _heavier(statistic, v, shared, rng)
-        known = heavier > CLEARLY_HEAVIER  # the screen then scales by it, and calibrates what that gives
+        known = heavier > CLEARLY_HEAVIER  # the screen then scales by it, and calibrates the rest
         scale = chi2_isf(LEVEL / np.where(known, heavier, 1.0), 1) / chi2_isf(LEVEL, 1)
         single = np.maximum(chi2_sf(statistic / scale, 1), 1e-300)
         tests = self.tests * np.where(known, 1.0, heavier)
