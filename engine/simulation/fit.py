@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from scipy.optimize import OptimizeResult
 from engine.data.faults import about_faults
 from engine.data.given import as_series_list, check_enough
 from engine.data.series import Series
+from engine.errors import ModelError
 from engine.randomness import check_seed
 from engine.simulation.free_run import (
     FreeRun,
@@ -27,6 +29,8 @@ from engine.simulation.free_run import (
     root_mean_squares,
     spread_of,
 )
+from engine.simulation.growing import grown
+from engine.simulation.other_minima import other_minimum, said_of
 from engine.simulation.own_steps import about_own_free_runs
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.step_length import about_free_runs
@@ -51,6 +55,7 @@ RUNS_AWAY = (
 )
 AWAY = 2.0  # ranges of the readings
 ROUNDS = 3  # of fits, where parameters turn out to matter that did not at the start
+POOR = 0.5  # standard deviations of the readings
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
 
@@ -201,9 +206,11 @@ def fit_simulation(
     """Fit the simulation without noise to one or several series by least squares.
 
     The free parameters are estimated and, for each series, those components of the first state that the
-    model's initial density leaves uncertain. Several starts are tried, and the one with the least error after
-    a few evaluations is followed to its end. It may be a local minimum, so start near what is known. Several
-    outputs are weighed by their standard deviations. Missing measurements are left out.
+    model's initial density leaves uncertain. Several starts are tried, one of them fitted to growing parts of
+    the records first, as all are where none follows the readings. The one with the least error after a few
+    evaluations is followed to its end. It may be a local minimum, so start near what is known; another one
+    that was met and is as good is told. Several outputs are weighed by their standard deviations. Missing
+    measurements are left out.
 
     Parameters
     ----------
@@ -248,15 +255,17 @@ def fit_simulation(
     theta, indices = model.theta(theta0), model.free_indices(free)
     told, x1 = _Told(callback), None
     for left in reversed(range(ROUNDS)):  # what changes nothing at the start may where the fit ends
-        problem, best, stopped = _fitted(
-            FreeRunProblem(model, listed, theta, indices, x1), n_starts, seed, max_evaluations, told
-        )
+        problem = FreeRunProblem(model, listed, theta, indices, x1)
+        best, tried, stopped = _fitted(problem, n_starts, seed, max_evaluations, told)
         again = bool(left and not stopped and _speaks(problem, best, indices))
         if not stopped and told.stops(more=again) and again:
             stopped = told.done
         if stopped or not again:
             break
         theta, x1 = problem.split(best.x)
+    other = None if stopped else other_minimum(problem, best, tried, max_evaluations)
+    if other is not None and other.cost < best.cost:
+        best, other = other, best
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
     found = problem.uncertainty(*problem.evaluate(best.x), best.x)
@@ -276,6 +285,7 @@ def fit_simulation(
         parts = [
             _ended(best, stopped) if estimated else NOTHING,
             _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
+            "" if other is None else said_of(problem, best, other),
             ties.in_words,
             model.held_in_words(theta, [name for name in estimated if name not in hardly], ties),
             hardly_told(hardly),
@@ -307,19 +317,36 @@ def _fitted(
     seed: int,
     evaluations: int,
     told: _Told,
-) -> tuple[FreeRunProblem, OptimizeResult, int]:
-    """The problem and the best of its starts, followed to its end, unless stopped after so many of them."""
+) -> tuple[OptimizeResult, list[OptimizeResult], int]:
+    """The best of the starts, followed to its end, and all that were tried, unless stopped after so many."""
     problem.look_for_silent()
     check_enough(problem.series, problem.active.size, len(problem.series) * problem.uncertain.size)
     starts = problem.starts(n_starts, np.random.default_rng(seed))
-    tried = []
-    told.begin(len(starts) + 1)
-    for start in starts:
-        tried.append(problem.descend(start, SHORT))
-        if told.stops():
-            return problem, min(tried, key=lambda end: float(end.cost)), len(tried)
-    best = min(tried, key=lambda end: float(end.cost))
-    return problem, problem.descend(best.x, evaluations), 0
+    told.begin(len(starts) + 2)
+    tried: list[OptimizeResult] = []
+
+    def least() -> OptimizeResult:
+        return min(tried, key=lambda end: float(end.cost))
+
+    for start in (*starts, None):
+        p = grown(problem, problem.start(), SHORT) if start is None else start
+        with suppress(ModelError):
+            tried += [] if p is None else [problem.descend(p, SHORT)]
+        if tried and told.stops():
+            return least(), tried, len(tried)
+    if not tried:
+        problem.runs_away()
+    if _follows_poorly(problem, least()):  # all may have slipped
+        for p in (grown(problem, start, SHORT) for start in starts):
+            with suppress(ModelError):
+                tried += [] if p is None else [problem.descend(p, SHORT)]
+    return problem.descend(least().x, evaluations), tried, 0
+
+
+def _follows_poorly(problem: FreeRunProblem, end: OptimizeResult) -> bool:
+    """Whether a run leaves a large part of what the readings move."""
+    readings = sum(int(one.observed.sum()) for one in problem.series)
+    return bool(2.0 * end.cost > (POOR * problem.unit) ** 2 * readings)
 
 
 def _speaks(problem: FreeRunProblem, best: OptimizeResult, free: NDArray[np.intp]) -> bool:

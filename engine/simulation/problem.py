@@ -129,11 +129,13 @@ class FreeRunProblem:
         """Take parameters out that do not change the run around the start."""
         self._look_for_sizes()
         self._last = None  # its derivatives were taken over other distances
-        _, jacobian = self.evaluate(self.start())
+        e, jacobian = self.evaluate(self.start())
         if not self._agree(jacobian):
             self.at_once, self._last = False, None
-            _, jacobian = self.evaluate(self.start())
-        quiet = ~self.shows(jacobian)
+            e, jacobian = self.evaluate(self.start())
+        # beside derivatives of a run that runs away all others seem to be none
+        near = np.abs(e) < AWAY * self.reach()
+        quiet = ~self.shows(jacobian[near] if near.any() else jacobian)
         self.silent, self.active = self.active[quiet], self.active[~quiet]
         self._last = self._ahead = None
 
@@ -205,7 +207,7 @@ class FreeRunProblem:
         # First states by how far they move, for a step is small beside them where they are far from zero.
         size, origin = self.scales(), start.copy()
         origin[: self.active.size] = 0.0
-        unit = float(spread_of(self.series)[0]) if len(self.scale) == 1 else 1.0
+        unit = self.unit
 
         def scaled(x: Array) -> Array:
             return residuals(origin + size * x) / unit
@@ -226,6 +228,11 @@ class FreeRunProblem:
         found.cost *= unit**2
         return found
 
+    @property
+    def unit(self) -> float:
+        """The spread of readings in which residuals are counted, as one output is not weighed."""
+        return float(spread_of(self.series)[0]) if len(self.scale) == 1 else 1.0
+
     def scales(self) -> Array:
         """Typical size of each component of p: of the parameters, and of the first states."""
         return np.concatenate(
@@ -233,7 +240,7 @@ class FreeRunProblem:
         )
 
     def starts(self, n: int, rng: np.random.Generator) -> list[Array]:
-        """theta0, and the best of n random vectors around it."""
+        """theta0, and the best of n random vectors around it, as far as their runs do not run away."""
         first, k = self.start(), self.active.size
         draws = np.tile(first, (n + 1, 1))
         typical = self.sizes[self.active]
@@ -242,24 +249,23 @@ class FreeRunProblem:
         low, high = self.bounds()
         draws[1:, :k] = np.clip(first[:k] * factor + shift, low[:k], high[:k])
         costs = self._costs(draws)
-        if not np.isfinite(costs).any():
-            self._runs_away()
         best = [i for i in np.argsort(costs) if i > 0 and np.isfinite(costs[i])][:REFINED]
         return [draws[i] for i in ([0] if np.isfinite(costs[0]) else []) + best]
 
     def _costs(self, draws: Array) -> Array:
-        """Sum of squares of each p (K, n_p), inf where the run is not finite."""
-        total = np.zeros(len(draws))
+        """Sum of squares of each p (K, n_p), inf where the run runs away."""
+        total, most = np.zeros(len(draws)), AWAY * self.reach()
         pairs = [self.split(p) for p in draws]
         thetas = np.array([theta for theta, _ in pairs])
         for s, one in enumerate(self.series):
             y, _ = run_rows(self.model, thetas, one, np.array([x1[s] for _, x1 in pairs]))
             e = ((one.y[:, None] - y) / self.scale).transpose(0, 2, 1)[one.observed]
             with np.errstate(over="ignore"):
-                total += (e**2).sum(axis=0)
+                total += np.where(np.abs(e).max(axis=0) < most, (e**2).sum(axis=0), np.inf)
         return np.where(np.isfinite(total), total, np.inf)
 
-    def _runs_away(self) -> None:
+    def runs_away(self) -> None:
+        """Raise ModelError that says where the run from the start is lost."""
         theta, x1 = self.split(self.start())
         for one, x in zip(self.series, x1, strict=True):
             free_run(self.model, theta, one, x[: self.model.na], x[self.model.na :])
