@@ -38,12 +38,15 @@ from engine.statespace.model import Array, MixedModel, Theta, stacked
 DRAWS = 16  # of a_1, on which it is tried where nonlinear states show ...
 SPREADS = 10.0  # ... and so many standard deviations away: a share of outliers may start at next to nothing
 SEEDS = 3  # filters whose mean is taken
-IN_SPACE = 200  # particles at least where predictions do not lie on a line
+IN_SPACE = 200  # particles at least where predictions do not lie on a line, or what follows from them jumps
 LEAST_INFORMATION = 0.02  # of what the slopes of all filters say with their noise ...
 RIDGE = 1e-6  # ... whose products, scaled to a unit diagonal, may be singular
 STEP_ERRORS = 0.3  # standard errors that differences reach to either side ...
 STEP_SHARE = 0.05  # ... or this share of a parameter's size, where the moment filter knows none ...
 MOST_SHARE = 0.3  # ... and at most this one
+FALL = 2.0  # nats by which it falls to either side over a difference in a level, more than its noise ...
+LEVEL_TRIES = 8  # ... of so many distances, ...
+LEVEL_FACTOR = 8.0  # ... by which one differs from the next at most
 LEAST_SHARE = 1e-4  # of it: what is far better known is no matter of particles
 TRIES = (1.0, 0.4, 0.1)  # shares of a step, of which the best is taken
 REACHES = (
@@ -201,7 +204,7 @@ class ParticleLikelihood(LikelihoodStep):
         return self._slopes(np.asarray(theta), indices)
 
     def _filter(self, theta: Array, one: Series, seed: int) -> Array:
-        n = max(self.n_particles, IN_SPACE if self.model.nx > 1 else 1)
+        n = max(self.n_particles, IN_SPACE if self.model.nx > 1 or self.jumps else 1)
         run = rbpf(self.model, theta, one, n, seed, resampling="sorted", ess_threshold=1.0)
         return np.asarray(run.log_likelihood_terms)
 
@@ -223,6 +226,9 @@ class ParticleLikelihood(LikelihoodStep):
     def _differences(self, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         each = np.zeros((len(indices), len(self.seeds), self.rows))
         for i, (k, step) in enumerate(zip(indices, self._steps(theta, indices), strict=True)):
+            if int(k) in self.jumps:
+                each[i] = self._slope_of_level(theta, int(k))
+                continue
             each[i] = self._slope(theta, int(k), step)
             # the moment filter may know nothing of it, or too much
             size = parameter_scale(self.model, theta, int(k))
@@ -234,12 +240,35 @@ class ParticleLikelihood(LikelihoodStep):
 
     def _slope(self, theta: Array, k: int, step: float) -> Array:
         """Of each row's term (seeds, rows), by parameter k over ``step`` to either side, within its bounds."""
+        low, high, apart = self._ends(theta, k, step)
+        return np.asarray((high - low) / apart)
+
+    def _ends(self, theta: Array, k: int, step: float) -> tuple[Array, Array, float]:
+        """Terms (seeds, rows) a ``step`` below and above in parameter k, within bounds, and how far apart."""
         ends = np.array([theta, theta])
         ends[:, k] = np.clip(
             theta[k] + np.array([-step, step]), self.model.lower[k], self.model.upper[k]
         )
         low, high = (self._terms(end) for end in ends)
-        return np.asarray((high - low) / (ends[1, k] - ends[0, k]))
+        return low, high, float(ends[1, k] - ends[0, k])
+
+    def _slope_of_level(self, theta: Array, k: int) -> Array:
+        """The same for a level at which the model jumps, over what the likelihood falls by some nats.
+
+        No size of a level tells how well it is known: it depends on where its zero is, and the moment filter
+        is blind.
+        """
+        here = self._terms(theta)
+        step = STEP_SHARE * parameter_scale(self.model, theta, k)
+        for _ in range(LEVEL_TRIES):
+            low, high, apart = self._ends(theta, k, step)
+            fall = float((here - 0.5 * (low + high)).sum(axis=1).mean())
+            short = FALL / max(fall, FALL / LEVEL_FACTOR**2)
+            clipped = apart < 2.0 * step * (1.0 - 1e-9)
+            if 0.25 < short < 4.0 or (short > 1.0 and clipped):
+                break
+            step *= max(np.sqrt(short), 1.0 / LEVEL_FACTOR)
+        return np.asarray((high - low) / apart)
 
     def _steps(self, theta: Array, indices: NDArray[np.intp]) -> Array:
         """How far (n,) differences reach, by the moment filter's information where it has any."""

@@ -119,7 +119,9 @@ def moved_ahead(
     if beside is not there:
         there, ahead = beside, likelihood.of(beside) - likelihood.of(found.theta)
     gain, error, n = gain_of(found.theta, there, particles, least, seed)
-    if gain > (-SURE * error if likelihood.trusted else max(least, SURE * error)):
+    # what its own filters find and what others do count alike, where neither is surely right
+    against = -min(SURE * error, ahead)
+    if gain > (against if likelihood.trusted else max(least, SURE * error)):
         return moved(found, there, MOVED.format(ahead, whose, nats(gain, error)))
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
         return moved(found, there, MOVED.format(ahead, whose, nats(np.inf, 0.0)))

@@ -32,6 +32,7 @@ from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.outcome import Outcome
 from engine.estimation.own_steps import about_own_steps
+from engine.estimation.particle_likelihood import ParticleLikelihood
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.at_bounds import pressed_onto_bounds, said_of_bounds
 from engine.estimation.uncertainty.observed_result import StandardErrors
@@ -63,8 +64,8 @@ DOUBTFUL_ERRORS = 3.0
 FURTHER_SCORES = 12
 FEW_REPLICATES = 4  # where the moment filter's information is a good guess
 UNCHECKED = (
-    "These errors are the moment filter's alone: scores by particles are too noisy here to check them (more "
-    "n_particles and n_trajectories would)."
+    "These errors are {} alone: scores by particles are too noisy here to check them (more n_particles and "
+    "n_trajectories would)."
 )
 TRUSTED = 0.1  # relative error that it has at least
 # Of the complete-data information, held by the data where there is hardly any noise.
@@ -189,7 +190,9 @@ def standard_errors(
             _guessed(score, H, seeds, scores[:, kept]) if guessing else None
         ) or _differences(score, H, np.random.SeedSequence(seed).spawn(most))
         covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
-    if said:  # scores that tell nothing of the errors tell nothing of the distance, either
+    # scores that tell nothing of the errors tell nothing of the distance, either: where another filter does
+    by_moments = bool(said) and not isinstance(score.likelihood, ParticleLikelihood)
+    if by_moments:
         moment = score.likelihood.score(theta, score.indices)[0]
         decrement, noise = float(moment @ covariance[np.ix_(kept, kept)] @ moment), 0.0
     else:
@@ -202,7 +205,7 @@ def standard_errors(
     decrement = max(decrement, away)
     failed = said_of_failure(found)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not (away or drawn or failed)
-    warning = failed or ("" if settled else _warning(found, decrement, drawn, bool(said)))
+    warning = failed or ("" if settled else _warning(found, decrement, drawn, by_moments))
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     mean = scores.mean(axis=0)
@@ -296,7 +299,7 @@ def _guessed(
         deviation = float(((G.mean(axis=0) - np.eye(len(L))) ** 2).mean())
         least = SURELY_DROWNED * len(seeds) / n if n < len(seeds) else DROWNED
         if noise > least and deviation < SURELY_OFF * noise:
-            return L @ L.T, np.full(len(L), TRUSTED), UNCHECKED
+            return L @ L.T, np.full(len(L), TRUSTED), UNCHECKED.format(score.likelihood.whose)
         if n > 1 and max(noise, expected / n) < WELL_KNOWN:
             break
     error = max(deviation - noise, TRUSTED**2)

@@ -122,3 +122,56 @@ def test_a_level_is_looked_for_beyond_the_nearest_maximum():
     assert abs(there["level"] - 1.0) < 0.1
     assert np.isclose(gain, likelihood.of(there) - likelihood.of(theta))
     assert gain > 5.0
+
+
+def heater(a, u, t, dt, theta):
+    """A room that is heated below a level; temperatures are counted from far below it."""
+    x = a[:, 0] - ZERO
+    heat = np.where(x < theta.level - ZERO, 1.0, 0.0)
+    return [ZERO + x + 0.1 * (u[0] - x) + heat], NONE, [[0.1**2]]
+
+
+ZERO = 293.0
+
+
+def room(T: int, seed: int) -> tuple[engine.MixedModel, engine.Series]:
+    model = engine.MixedModel(
+        name="room",
+        dynamics=heater,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], NONE, [[0.2**2]]),
+        initial=lambda theta: (engine.Gaussian([ZERO], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "K"},
+        inputs={"outside": "K"},
+        outputs={"y": "K"},
+        parameters=[P("level", ZERO, "K", (0.0, 400.0))],
+    )
+    u = (-6.0 + 3.0 * np.sin(np.arange(T) / 20.0))[:, None]
+    return model, engine.simulate(model, None, T, np.random.default_rng(seed), u=u, dt=1.0).series
+
+
+@pytest.mark.long
+def test_the_slope_of_a_level_does_not_depend_on_where_its_zero_is():
+    """It was a secant over 5 % of 293 K to either side, of a level that is known to 0.02 K."""
+    model, series = room(150, 1000)
+    theta, level = model.theta(), model.free_indices(None)
+    likelihood = likelihood_of(model, [series], theta, 50, level)
+    values = {off: likelihood.of(model.theta([ZERO + off])) for off in (-0.1, -0.05, 0.05, 0.1)}
+    for low, high in ((-0.1, -0.05), (0.05, 0.1)):
+        slope, information = likelihood.score(model.theta([ZERO + 0.5 * (low + high)]), level)
+        exact = (values[high] - values[low]) / (high - low)
+        assert slope[0] == pytest.approx(exact, abs=0.3 * abs(exact))
+        assert 0.01 < 1.0 / np.sqrt(information[0, 0]) < 0.05
+
+
+@pytest.mark.slow
+def test_errors_of_a_level_cover_it():
+    """Estimates were 3 to 7 of their errors above the level, "converged"."""
+    each = []
+    for seed in range(1000, 1005):
+        model, series = room(200, seed)
+        found = engine.rbps_em(model, series, seed=1)
+        errors = engine.standard_errors(model, found, series)
+        assert "moment filter" not in errors.warning  # it is blind to levels
+        each.append((found.theta["level"] - ZERO) / errors.values[0])
+    assert np.abs(each).max() < 3.0
+    assert np.sqrt(np.mean(np.square(each))) < 1.8

@@ -514,6 +514,8 @@ def test_intervals_about_another_maximum_say_so(top):
 class Sloped:
     """A score with slope -``held`` in every direction and noise, about which a guess says 1."""
 
+    whose = "the moment filter's"
+
     def __init__(self, noise, held=1.0, n=3):
         self.noise, self.held, self.x, self.calls = noise, held, np.zeros(n), 0
         self.theta, self.indices = np.zeros(n), np.arange(n)
