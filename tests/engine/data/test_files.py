@@ -563,6 +563,15 @@ def test_a_step_that_is_assumed_beside_what_looks_like_times_is_told(tmp_path):
     assert read_series(of(tmp_path, "u,y\n0,1\n1,2\n2,1\n")).dt == 1.0  # plain, and silent
 
 
+@pytest.mark.parametrize("row", [10.0, 9.0, 0.0])
+def test_a_column_of_times_that_falls_once_is_told(tmp_path, row):
+    """A logger that wrote a row twice, or began anew: all rows were taken for 1 s apart, without a word."""
+    elapsed = [*np.arange(11.0), *(row + np.arange(12.0))]
+    rows = "".join(f"{0.5 * t},{k % 3}\n" for k, t in enumerate(elapsed))
+    with pytest.warns(ReadingWarning, match="as 'elapsed' rises like times at most rows"):
+        read_series(of(tmp_path, f"elapsed,y\n{rows}"))
+
+
 def test_dates_that_leave_out_an_hour(tmp_path):
     """Where summer time begins; other gaps, other days and times with a zone are none of it."""
     before = [f"2024-03-31 01:{k}:00" for k in range(50, 60)]
