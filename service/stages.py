@@ -204,6 +204,11 @@ def _summarize(
     if len(thetas) < 2:
         result["message"] += f" No standard errors: {failed} of {len(left)} bootstrap runs failed."
         return result
+    if failed:
+        result["message"] += (
+            f" {failed} of {len(left)} bootstrap runs failed and are left out. Where it was the data they drew "
+            "that made them fail, the errors and intervals of the others are too small."
+        )
     for k in job.model.free_indices(job.free):
         name, values = names[k], thetas[:, k]
         result["estimate"][name]["standard_error"] = float(values.std(ddof=1))

@@ -82,3 +82,20 @@ def test_further_starts_and_a_bootstraps_runs_climb_from_where_they_are(estimati
     for task in range(5):
         progress.tasks[task] = stages.run(job, task, progress)
     assert asked == [True, "uphill", "uphill", "uphill"]
+
+
+def test_runs_of_a_bootstrap_that_fail_are_told(estimation):
+    """Half of them may fail just for the data that the estimate's interval should tell of."""
+    given = estimation(method="quasi-newton", bootstrap=4, particles=5)
+    job = prepare(EstimateRequest.model_validate(given))
+    theta = np.array(job.theta)
+    estimate = {
+        name: {"value": value, "standard_error": None}
+        for name, value in zip(job.model.parameter_names, theta.tolist(), strict=True)
+    }
+    progress = Left()
+    runs = [{"theta": (theta * (1.0 + 0.1 * k)).tolist(), "success": k < 2} for k in range(4)]
+    progress.tasks.update(enumerate([{"estimate": estimate, "message": "Converged."}, *runs]))
+    found = stages.run(job, 5, progress)
+    assert "2 of 4 bootstrap runs failed and are left out" in found["message"]
+    assert found["bootstrap"]["failed"] == 2
