@@ -34,6 +34,10 @@ from service.schemas import (
 from service.validation import Prepared
 
 START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
+LEVEL, FOR_LEVEL = (
+    0.95,
+    39,
+)  # of intervals of a bootstrap, and the least runs whose extremes hold so much
 START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
 
@@ -209,11 +213,17 @@ def _summarize(
             f" {failed} of {len(left)} bootstrap runs failed and are left out. Where it was the data they drew "
             "that made them fail, the errors and intervals of the others are too small."
         )
+    most = (len(thetas) - 1) / (len(thetas) + 1)  # from the least to the largest of so many
+    if most < LEVEL:
+        result["message"] += (
+            f" An interval of {len(thetas)} bootstrap runs holds {100.0 * most:.0f} % at most, not 95 %: "
+            f"{FOR_LEVEL} runs or more are needed for that."
+        )
     for k in job.model.free_indices(job.free):
         name, values = names[k], thetas[:, k]
         result["estimate"][name]["standard_error"] = float(values.std(ddof=1))
         result["bootstrap"]["estimates"][name] = values.tolist()
-        quantiles = np.quantile(values, [0.025, 0.5, 0.975]).tolist()
+        quantiles = np.quantile(values, [0.025, 0.5, 0.975], method="weibull").tolist()
         result["estimate"][name]["interval"] = [quantiles[0], quantiles[2]]
         by_share = zip(("0.025", "0.5", "0.975"), quantiles, strict=True)
         result["bootstrap"]["quantiles"][name] = dict(by_share)

@@ -84,18 +84,34 @@ def test_further_starts_and_a_bootstraps_runs_climb_from_where_they_are(estimati
     assert asked == [True, "uphill", "uphill", "uphill"]
 
 
-def test_runs_of_a_bootstrap_that_fail_are_told(estimation):
-    """Half of them may fail just for the data that the estimate's interval should tell of."""
-    given = estimation(method="quasi-newton", bootstrap=4, particles=5)
+def summary_of(estimation, runs):
+    """The document of a bootstrap that left these runs, factors of theta or None where it failed."""
+    given = estimation(method="quasi-newton", bootstrap=len(runs), particles=5)
     job = prepare(EstimateRequest.model_validate(given))
     theta = np.array(job.theta)
     estimate = {
         name: {"value": value, "standard_error": None}
         for name, value in zip(job.model.parameter_names, theta.tolist(), strict=True)
     }
+    left = [{"theta": (theta * (k or 1.0)).tolist(), "success": k is not None} for k in runs]
     progress = Left()
-    runs = [{"theta": (theta * (1.0 + 0.1 * k)).tolist(), "success": k < 2} for k in range(4)]
-    progress.tasks.update(enumerate([{"estimate": estimate, "message": "Converged."}, *runs]))
-    found = stages.run(job, 5, progress)
+    progress.tasks.update(enumerate([{"estimate": estimate, "message": "Converged."}, *left]))
+    return theta, stages.run(job, 1 + len(runs), progress)
+
+
+def test_runs_of_a_bootstrap_that_fail_are_told(estimation):
+    """Half of them may fail just for the data that the estimate's interval should tell of."""
+    _, found = summary_of(estimation, [1.0, 1.1, None, None])
     assert "2 of 4 bootstrap runs failed and are left out" in found["message"]
     assert found["bootstrap"]["failed"] == 2
+
+
+@pytest.mark.parametrize("n", [20, 39])
+def test_few_runs_of_a_bootstrap_make_no_interval_of_95_per_cent(estimation, n):
+    """Ends between the outermost of 20 hold 86 %, and were called 95 %."""
+    factors = np.linspace(1.0, 2.0, n)
+    theta, found = summary_of(estimation, factors.tolist())
+    name = next(iter(found["bootstrap"]["estimates"]))
+    ends = found["estimate"][name]["interval"]
+    np.testing.assert_allclose(ends, [theta[0], 2.0 * theta[0]])
+    assert ("holds 90 % at most" in found["message"]) == (n == 20)
