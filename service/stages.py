@@ -34,10 +34,8 @@ from service.schemas import (
 from service.validation import Prepared
 
 START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
-LEVEL, FOR_LEVEL = (
-    0.95,
-    39,
-)  # of intervals of a bootstrap, and the least runs whose extremes hold so much
+LEVEL = 0.95  # of a bootstrap's intervals
+FOR_LEVEL = 39  # runs at least, as from the least to the largest of so many they hold so much
 START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
 
