@@ -24,6 +24,7 @@ from engine.statespace.recorded.numbers import Traced, UntraceableError, record
 from engine.statespace.recorded.of_python import kind_of, searched, unless_traced, within
 from engine.statespace.rows import Array
 
+ALIKE = 1e-11  # entries of matrices that two ways to an exponential give
 CHOICES = 30  # points of an interpolation that differ from row to row, of which np.choose takes 32
 
 
@@ -116,6 +117,30 @@ def _discretize(F: Any, G: Any = None, Qc: Any = None, *, dt: Any) -> Any:
     if np.ndim(F) > 2 or np.ndim(dt) > 0:
         raise UntraceableError
     return _arrays(checked_step, single=False)(F, G, Qc, dt)
+
+
+def _expm(M: Any) -> Any:
+    """``scipy.linalg.expm``, which takes one matrix of a stack after the other: by a kernel that takes all.
+
+    That is the series of :func:`engine.discretize`, which filters have on their tape. Where entries of very
+    different size let the two differ already here, SciPy's, of each distinct matrix.
+    """
+    if np.ndim(M) != 2 or not has_traced([np.asarray(_nested(M))]):
+        return _arrays(scipy.linalg.expm)(M)
+    values = np.reshape([getattr(x, "value", x) for x in _nested(M).ravel().tolist()], np.shape(M))
+    with np.errstate(all="ignore"):
+        own, by_kernel = scipy.linalg.expm(values), discretize(values, dt=1.0)[0]
+    if (np.abs(own - by_kernel) <= ALIKE * np.abs(own)).all():
+        return _discretize(M, dt=1.0)[0]
+    return _arrays(_of_distinct)(M)
+
+
+def _of_distinct(M: Array) -> Array:
+    """``scipy.linalg.expm`` (..., n, n), once for matrices that are the same."""
+    n = M.shape[-1]
+    distinct, back = np.unique(M.reshape(-1, n * n), axis=0, return_inverse=True)
+    found = scipy.linalg.expm(distinct.reshape(-1, n, n))
+    return np.asarray(found[back.ravel()].reshape(M.shape))
 
 
 def _norm(x: Any) -> Any:
@@ -260,7 +285,7 @@ OF_NUMPY: dict[Any, Any] = {
     np.isscalar: lambda x: isinstance(x, Traced) or np.isscalar(x),
     scipy.linalg.inv: _arrays(np.linalg.inv),
     scipy.linalg.solve: _solve,
-    scipy.linalg.expm: _arrays(scipy.linalg.expm),
+    scipy.linalg.expm: _expm,
     discretize: _discretize,
 }
 by_entries.update({**OF_ENTRIES, np.sum: _sum})

@@ -190,8 +190,13 @@ def by_scipy(theta, dt):
     return A, np.ones((1, 1)), np.eye(1)
 
 
+def by_inverses(theta, dt):
+    F = np.array([[-theta.k, 1.0], [0.0, -2.0 * theta.k]])
+    return np.linalg.inv(np.eye(2) - F * dt), np.ones((1, 1)), np.eye(1)
+
+
 def test_a_model_that_has_none_for_uneven_steps_keeps_the_one_for_even_ones(monkeypatch):
-    model = held(by_scipy)
+    model = held(by_inverses)
     theta = thetas_of(model, 4)
     taped, _ = both(model, theta, series_for(model, 5, even=False), monkeypatch)
     assert taped is None
@@ -211,8 +216,9 @@ def test_matrices_over_a_step_that_change_with_time(kind, even, monkeypatch):
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_so_do_those_of_a_users_function(even, monkeypatch):
-    model = held(discretized)
+@pytest.mark.parametrize("matrices", [discretized, by_scipy])
+def test_so_do_those_of_a_users_function(matrices, even, monkeypatch):
+    model = held(matrices)
     assert_same(*both(model, thetas_of(model, 4), series_for(model, 3, even=even), monkeypatch))
 
 

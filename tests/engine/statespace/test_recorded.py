@@ -23,7 +23,7 @@ import engine
 from engine import Gaussian, MixedModel, Parameter, Series
 from engine.errors import ModelError
 from engine.filters.sigma_point import moment_filter
-from engine.statespace.recorded import NotByRowsError, by_rows
+from engine.statespace.recorded import NotByRowsError, by_rows, of_numpy
 from engine.statespace.recorded.paths import Path, graft
 
 M = 60
@@ -213,6 +213,27 @@ def test_parameters_side_by_side_are_filtered_as_alone(written):
     got = moment_filter(model, thetas, series).log_likelihood
     each = [moment_filter(replace(model), row[None], series).log_likelihood[0] for row in thetas]
     np.testing.assert_allclose(got, each, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("alike", "by_scipy"), [(1e-11, False), (-1.0, True)])
+def test_exponentials_are_by_a_kernel_or_of_each_distinct_matrix(alike, by_scipy, monkeypatch):
+    """SciPy takes one matrix of a stack after the other: where the kernel differs, no more than it must."""
+    taken, own = [], scipy.linalg.expm
+    monkeypatch.setattr(of_numpy, "ALIKE", alike)
+    model = model_of(algebra)
+    a, u, t, dt, theta = rows_of(5, model, 60)
+    u = np.tile(u[:, :1], 60)
+    thetas = np.tile(np.asarray(model.theta()), (60, 1))
+    thetas[30:, 0] = 0.9
+    theta = model.records(thetas)
+    model.transition(a, u, t, dt, theta)
+    monkeypatch.setattr(scipy.linalg, "expm", lambda M: (taken.append(np.shape(M)), own(M))[1])
+    found = model.transition(a, u, t, dt, theta)
+    monkeypatch.undo()
+    stacks = {shape[0] for shape in taken if len(shape) > 2}  # others are calls that check it
+    assert (2 in stacks) if by_scipy else not stacks
+    assert max(stacks, default=0) < 60
+    assert_same(found, alone(model, a, u, t, dt, theta))
 
 
 def test_what_is_known_is_not_asked_again():
