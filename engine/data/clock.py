@@ -21,6 +21,7 @@ SECOND = np.timedelta64(1, "s")
 SAME_STEP, JITTER = 1e-3, 0.1
 EVEN = 1e-6  # of a step, by which those at one common step may differ
 DIGITS = 12  # that a common step has at most
+NOON = 1200.0  # in the digits of a clock, after which it passes midnight
 ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
 
 
@@ -120,16 +121,18 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
             if dated
             else ""
         )
-        if kind == "repeats" and text.endswith(" 00:00:00"):
+        if len(falls) > 1 and (np.diff(times) < 0).all():
+            hint = "; the last row was measured first: turn their order around"
+        elif kind == "repeats" and text.endswith(" 00:00:00"):
             hint = "; if another column has the time of day, write both in one: 2024-03-01 13:45:00"
         elif kind == "repeats" and not dated:
             hint = "; of readings that were taken at one time give the mean"
-        elif not dated and _of_the_day(times):
+        elif not dated and times[row - 1] >= NOON and _of_the_day(times):
             hint = (
                 "; if this is the time of day, 1430 for 14:30, write it with its day in one: "
                 "2024-03-01 14:30:00"
             )
-        elif kind == "decreases" and not dated and times[row] <= times[0]:
+        elif kind == "decreases" and not hint and times[row] <= times[0]:
             hint = "; if several records stand one below the other, give each by itself"
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:

@@ -1,11 +1,12 @@
-"""Times that may be others than they are taken for: across a change of clocks, or days of a spreadsheet."""
+"""Times that may be others than they are taken for: across a change of clocks, days or digits of a clock."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime, timedelta
+from collections.abc import Callable, Sequence
+from datetime import date, datetime, timedelta
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.arrays import Array
 
@@ -17,6 +18,8 @@ LATEST = 3  # o'clock, at which clocks are set forward somewhere
 DAYS = (30_000.0, 60_000.0)
 USUAL_STEPS = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1800, 3600)
 STEP_ERROR = 2e-4  # of the mean step, as days are rounded
+Whole = NDArray[np.int64]
+YEARS = (1800, 2200)  # of dates in a number
 
 
 def set_forward(dates: Sequence[datetime]) -> str:
@@ -54,3 +57,71 @@ def days_of_spreadsheet(times: Array) -> str:
         f"{nearest} s, and count as seconds: if they are days, write dates such as 2024-03-01 13:45:00, or "
         f"multiply them by {DAY:g}."
     )
+
+
+def digits_of_a_clock(times: Array) -> str:
+    """A note of numbers that are hours and minutes, or a date, in digits: 1430, 143000, 20240301 or 202403.
+
+    As numbers they jump from 1459 to 1500. Told where they go on by their usual step over such places, read as
+    what they are, and nowhere by it only as numbers; dates of several months need no usual step.
+    """
+    if len(times) < 3 or not 0.0 <= times[0] < times[-1] < 1e8 or (times != np.round(times)).any():
+        return ""
+    whole = times.astype(np.int64)
+    for read, example, meant in _IN_DIGITS:
+        counted = read(whole)
+        if counted is None:
+            continue
+        as_number, as_meant = (_usual(steps) for steps in (np.diff(whole), np.diff(counted)))
+        carried = int(np.sum(as_meant & ~as_number))
+        dated = read is _days and np.unique(whole // 100).size > 1
+        if dated or (carried > 1 and not (as_number & ~as_meant).any()):
+            return (
+                f"times from {whole[0]} to {whole[-1]} look like {meant}, as {example}, and count as plain "
+                "numbers, whose steps are not even: write them as in 2024-03-01 14:30:00, or as numbers of one "
+                "unit."
+            )
+    return ""
+
+
+def _usual(steps: Whole) -> NDArray[np.bool_]:
+    """Which steps are the most frequent one."""
+    values, counts = np.unique(steps, return_counts=True)
+    found: NDArray[np.bool_] = steps == values[np.argmax(counts)]
+    return found
+
+
+def _clock(whole: Whole) -> Whole | None:
+    """Minutes of 1430, or seconds of 143000; None of other numbers."""
+    parts = [whole // 100**k % 100 for k in range(3)]
+    if whole.max() >= 240_000 or max(parts[0].max(), parts[1].max()) >= 60:
+        return None
+    return np.asarray(parts[0] + 60 * parts[1] + 3600 * parts[2])
+
+
+def _months(whole: Whole) -> Whole | None:
+    """Months of 202403; None of other numbers."""
+    year, month = whole // 100, whole % 100
+    there = (
+        year.min() >= YEARS[0] and year.max() < YEARS[1] and month.min() >= 1 and month.max() <= 12
+    )
+    return np.asarray(12 * year + month) if there else None
+
+
+def _days(whole: Whole) -> Whole | None:
+    """Days of 20240301; None of other numbers."""
+    if whole[0] // 10_000 < YEARS[0] or whole[-1] // 10_000 >= YEARS[1]:
+        return None
+    try:
+        return np.array(
+            [date(n // 10_000, n // 100 % 100, n % 100).toordinal() for n in whole.tolist()]
+        )
+    except ValueError:  # no such day
+        return None
+
+
+_IN_DIGITS: tuple[tuple[Callable[[Whole], Whole | None], str, str], ...] = (
+    (_clock, "1430 for 14:30 or 143000 for 14:30:00", "the time of day"),
+    (_months, "202403 for March 2024", "months"),
+    (_days, "20240301 for 2024-03-01", "dates"),
+)

@@ -40,7 +40,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.array_files import read_mat, read_npz
 from engine.data.csv_files import read_csv
-from engine.data.doubts import days_of_spreadsheet, set_forward
+from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward
 from engine.data.series import Series
 from engine.data.stamps import candidates, like_times
 from engine.data.table import Table
@@ -145,8 +145,9 @@ def series_from(
         raise SeriesError(f"{table.file}: {table.with_lines(str(error))}") from error
     if isinstance(times, list):
         table.notes += [table.with_lines(said) for said in (set_forward(times),) if said]
-    elif times is not None and not unit:
-        table.notes += [said for said in (days_of_spreadsheet(series.t),) if said]
+    elif times is not None:
+        days = "" if unit else days_of_spreadsheet(series.t)
+        table.notes += [said for said in (days, digits_of_a_clock(series.t)) if said]
     return series
 
 

@@ -503,7 +503,7 @@ def test_heads_that_are_odd(text, message):
         (["2024-10-27 01:00", "2024-10-27 02:00", "2024-10-27 02:00", "2024-10-27 03:00"],
          r"t repeats at line 5 \(2024-10-27 02:00:00\); .* winter time here, write the time stamps"),
         (["2024-10-27 02:30", "2024-10-27 02:31", "2024-10-27 02:30", "2024-10-27 02:31"],
-         r"t decreases at line 5 \(2024-10-27 02:30:00\); time must increase$"),
+         r"t decreases at line 5 \(2024-10-27 02:30:00\); time must increase; if several records.*by itself$"),
     ],
 )  # fmt: skip
 def test_dates_whose_zone_or_summer_time_is_not_told(stamps, message):
@@ -600,6 +600,58 @@ def test_days_of_a_spreadsheet(tmp_path):
     assert read(days, "time [day]").time_unit == "day"
     for dt in (1e-4, 1e-3, 0.01, 0.02, 1.0 / 60.0, 1.0 / 1024.0, 1.0 / 12800.0, 1.0, 10.0):
         read([45382.0 + k * dt for k in range(50)])  # seconds of a day
+
+
+def _of_the_day(minutes, day=24 * 60):
+    return [k // 60 * 100 + k % 60 for k in minutes if k < day]
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        (_of_the_day(range(840, 1200, 10)), "the time of day"),
+        ([*_of_the_day(range(480, 620, 4)), *_of_the_day(range(760, 960, 4))], "the time of day"),
+        ([int(f"{k // 3600}{k // 60 % 60:02}{k % 60:02}") for k in range(30000, 31000, 20)], "the time of day"),
+        ([year * 100 + month for year in (2001, 2002, 2003) for month in range(1, 13)], "months"),
+        ([20010125, 20010201, 20010208, 20010215, 20010222, 20010301], "dates"),
+        ([20010101, 20010220, 20010301, 20010430], "dates"),
+    ],
+)  # fmt: skip
+def test_a_clock_in_the_digits_of_a_number(tmp_path, times, words):
+    """Read as plain numbers, with jumps of 41 from 1459 to 1500 or of 8870 from one year to the next."""
+    path = of(tmp_path, "time,y\n" + "".join(f"{t},1\n" for t in times))
+    with pytest.warns(ReadingWarning, match=f"look like {words}, as .* count as plain numbers"):
+        read_series(path, time_unit="min")
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        range(0, 3000, 10),
+        range(0, 2400, 100),
+        range(1821, 1935),
+        [0, 5, 10, 20, 30, 45, 100, 115, 130, 200, 230, 300],
+        [0, 10, 20, 30, 50, 100, 200, 300, 500, 1000],
+        range(20000000, 20001000, 10),
+    ],
+)
+def test_numbers_that_count(tmp_path, times):
+    """Rounded or even, and none of a clock: nothing is said."""
+    read_series(of(tmp_path, "time,y\n" + "".join(f"{t},1\n" for t in times)))
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (["2024-01-01", "2024-01-02", "2024-01-01"], "one below the other, give each by itself"),
+        (["2024-01-03", "2024-01-02", "2024-01-01"], "measured first: turn their order around"),
+        ([3, 2, 1], "measured first: turn their order around"),
+        ([3, 4, 3], "one below the other, give each by itself"),
+    ],
+)
+def test_times_that_fall_back(tmp_path, stamps, words):
+    with pytest.raises(SeriesError, match=words):
+        read_series(of(tmp_path, "time,y\n" + "".join(f"{one},1\n" for one in stamps)))
 
 
 @pytest.mark.parametrize(
@@ -787,7 +839,7 @@ def test_days_and_months_in_each_others_place_are_told():
     ):
         read_series_bytes(b"time,y\n" + rows.encode(), "a.csv")
     plain = b"time,y\n2014-12-01 12:00:00,1\n2014-12-02 00:00:00,1\n2014-01-17 00:00:00,1\n"
-    with pytest.raises(SeriesError, match=r"time must increase$"):
+    with pytest.raises(SeriesError, match=r"time must increase; if several records.*by itself$"):
         read_series_bytes(plain, "a.csv")
 
 
