@@ -64,7 +64,8 @@ def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
 
     Of two as plain the one of a reading: it leaves the state alone, and all that comes after. Before all of
     them a parameter that was held, unless it says that something else is to be repaired than what leads.
-    A size that may as well be zero leaves the lead to an effect with fewer parameters whose size may not.
+    A size that may as well be zero leaves the lead to an effect with fewer parameters whose size may not. So
+    does noise to what is none: noise that changes says where errors are large, a cause what they are as well.
     """
     if not equivalent:
         return ()
@@ -83,4 +84,6 @@ def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
     fewer = [r for r in equivalent if further_parameters(r.effect) < few]
     if fewer and not first.is_sure:  # a bend from far away, of which a constant force is seen, say
         first = next((r for r in fewer if r.is_sure), first)
+    if first.effect.family == "noise" and not first.effect.traits.outliers:
+        first = next((r for r in equivalent if r.effect.family != "noise" and r.is_sure), first)
     return (first, *(r for r in equivalent if r is not first))

@@ -49,3 +49,25 @@ def test_as_many_parameters_do_not_take_it():
     bend = refit(BEND, 0.0041, 0.0028, 87.0)
     other = refit("drag:position->velocity", 0.3, 0.01, 86.0)
     assert _led((bend, other), SETTING)[0] is bend
+
+
+@pytest.mark.parametrize(
+    ("noise", "error", "first"),
+    [
+        ("variance:y->time", 0.01, FORCE),
+        (
+            "variance:y->time",
+            0.2,
+            "variance:y->time",
+        ),  # a size that may as well be zero says nothing
+        (
+            "heavy-tails:y",
+            0.01,
+            "heavy-tails:y",
+        ),  # outliers are taken out before more is looked for
+    ],
+)
+def test_noise_leaves_the_lead_to_what_is_none(noise, error, first):
+    """A variance that grows with the wind says where errors are large, a term of the wind what they are."""
+    led = _led((refit(noise, 1.0, 0.1, 26.9), refit(FORCE, 0.3, error, 26.5)), SETTING)
+    assert led[0].effect.name == first
