@@ -24,7 +24,7 @@ from engine.estimation.quasi_ml import QuasiFit, log_likelihoods
 from engine.filters.sigma_point import MomentPath, moment_path
 from engine.simulation.free_run import output_scale
 from engine.statespace.model import Array, MixedModel
-from engine.words import enumerated, number
+from engine.words import enumerated, number, percent
 
 HORIZONS = (1, 10, 100)  # samples; and the whole record
 BUDGETS = (1.0, 0.1, 0.01)  # of the process noise of the model as given
@@ -79,6 +79,23 @@ class OverHorizon:
             return f"{_named(effects)} leads at every horizon{further}."
         parts = [f"{_named(effects)} leads {enumerated(where)}" for effects, where in leads.items()]
         return "; ".join(parts) + "." if parts else ""
+
+    @property
+    def instead(self) -> str:
+        """What predicts better than the answer everywhere, in a sentence; "" where nothing does.
+
+        At every horizon, and with every budget of process noise as far as that may be shared.
+        """
+        first, *others = self.leaders()
+        if not first or first == self.candidates[1].effects or {*others} - {first, None}:
+            return ""
+        best = next(c for c in self.candidates if c.effects == first)
+        if any(gain <= 0.0 for gain in best.gains):  # others may not be compared there
+            return ""
+        return (
+            f"{_named(first)} predicts better at every horizon: over the whole record it is wrong by "
+            f"{percent(best.errors[-1])} of what the model as given is."
+        )
 
     def leaders(self) -> Iterator[tuple[str, ...] | None]:
         """The candidate that leads at each horizon, then at each budget; the answer where it is as good.

@@ -101,7 +101,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
 
 def over_horizon(found: OverHorizon) -> dict[str, Any]:
     """The candidates beside each other."""
-    return {**asdict(found), "sentence": found.sentence}
+    return {**asdict(found), "sentence": found.sentence, "instead": found.instead}
 
 
 def _free_run(asked: SecondOpinion) -> dict[str, Any]:

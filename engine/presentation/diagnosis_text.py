@@ -97,6 +97,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
             yield from _wrapped(
                 f"less likely or not as simple, but not ruled out: {less}", "      "
             )
+    if d.verdict.value == "unknown" and d.over_horizon is not None and d.over_horizon.instead:
+        yield from _wrapped(d.over_horizon.instead, "  ")
     if not d.causes:
         if d.unsearched is not None:
             yield from _wrapped(d.unsearched.sentence, "  ")

@@ -88,9 +88,11 @@ def judged(
             "several effects at once took too many iterations; the rivals are those of the round that found it."
         )
     if found.as_well:
+        explain = "together explain" if len(found.as_well) > 1 else "explains"
+        are = "are other causes" if len(found.as_well) > 1 else "is another cause"
         notes.append(
-            f"{enumerated(list(found.as_well))} together explain the data as well as what was found, and are "
-            "other causes: these data do not tell which it is."
+            f"{enumerated(list(found.as_well))} {explain} the data as well as what was found, and {are}: these "
+            "data do not tell which it is."
         )
         verdict = Verdict.UNKNOWN
     named = [r for r in found.rounds if r.equivalent]

@@ -132,7 +132,9 @@ def _cause_at_a_glance(d: Document) -> Html:
     if d["verdict"] == "unknown":
         said = tag("p", tag("b", "Unknown"), ": something acts that no known effect settles.")
         names = enumerated([cause["title"] for cause in d["causes"]])
-        return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
+        instead = (d.get("over_horizon") or {}).get("instead")
+        hints = [f"Closest: {names}" if names else "", instead]
+        return join([said, *(tag("p", hint, class_="hint") for hint in hints if hint)])
     if not d["causes"]:
         return tag("p", f"None: {p_value(d)} for all effects together.")
     parts = []

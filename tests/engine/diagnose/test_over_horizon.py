@@ -67,6 +67,25 @@ def test_a_patch_leads_one_sample_ahead_only():
     assert table[3] == ["bias:y", "-", "-", "-"]
 
 
+def test_what_predicts_better_than_the_answer_everywhere_is_said():
+    """Noise that grows with a concentration explains each sample from the one before, and no run."""
+    given = Candidate((), (1.0, 1.0), (0.0,))
+    noise = Candidate(("variance:y->c",), (0.43, 2.7), (np.nan,))
+    pole = Candidate(("pole:c",), (0.32, 0.35), (13.9,))
+
+    def instead(*added):
+        return OverHorizon((1, 14), (1.0,), (given, *added)).instead
+
+    assert instead(noise, pole) == (
+        "pole:c predicts better at every horizon: over the whole record it is wrong by 35 % of what the model "
+        "as given is."
+    )
+    assert instead(pole, noise) == ""  # the answer leads
+    assert instead(noise, replace(pole, errors=(0.5, 0.35))) == ""  # not one sample ahead
+    assert instead(noise, replace(pole, gains=(-5.0,))) == ""  # the model as given leads there
+    assert instead(replace(noise, errors=(1.1, 2.7))) == ""
+
+
 def test_what_was_not_compared_is_not_led():
     rows = [
         Candidate((), (1.0, 1.0), (0.0, 0.0)),
