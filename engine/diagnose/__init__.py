@@ -14,8 +14,9 @@ turn is then weighed again, each beside the others. Its verdict is
   name: its size may as well be zero, or the particle filter sees no gain.
 
 It is ``unknown``, too, where several records have parameters of their own, for which noise stands, or an
-effect that explains less; and where noise leads and the record explains more with its inputs read otherwise. A
-name that is preferred by too little is one of a set where another one predicts better at every horizon.
+effect that explains less, or whose size is above zero in some and below in others. So it is where noise leads
+and the record explains more with its inputs read otherwise. A name that is preferred by too little is one of a
+set where another one predicts better at every horizon.
 
 What is left or contradicted beside the main effect does not take that its name where it is a small part of
 what the likelihood gains, and the free run with that one alone keeps next to nothing of its error.

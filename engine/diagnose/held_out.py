@@ -105,6 +105,7 @@ class HeldOut:
             self.records.numbers_of(apart(self.searched)),
             [cause.effect for cause in named],
             [cause.effect for cause in named if cause.where == "noise"],
+            [next(iter(cause.parameters)) for cause in named if cause.where != "parameter"],
         )
         if word is None:
             return judged

@@ -3,7 +3,7 @@
 Persons, batches, cells, machines: what is fitted to all of them is none of them, and what common values get
 wrong comes out as noise that changes with time, or as an effect that says it in part. So a parameter is given a
 value for each record, all else is fitted anew, and both fits are compared. Noise takes what differs for its own
-as long as there is one value, so a score beside the common fit only tells what is worth a fit.
+as long as there is one value, so a score beside the common fit tells next to nothing of what a fit will gain.
 
 The score of record k is g_k. Of parameter p the values that the records ask for are d = D^+ g with
 D = diag(H_k,pp) - C H^{-1} C', where C has the rows H_k,p of each record's information and H their sum: what
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from engine.data.joined import apart
 from engine.data.series import Series
 from engine.diagnose.screening.noise_parameters import moves_on
-from engine.distributions import chi2_sf, f_sf
+from engine.distributions import f_sf
 from engine.errors import EngineError
 from engine.estimation.maximization import scoring_step
 from engine.estimation.quasi_ml import DAMPING, QuasiFit, derivatives, log_likelihoods
@@ -29,8 +29,8 @@ from engine.statespace.model import Array
 from engine.words import enumerated, number, probability
 
 LEVEL = 1e-3  # of the p-value, by Bonferroni over parameters
-WORTH = 0.2  # of a score's p-value, below which a parameter is worth a fit
 FLAT = 1e-8  # of the largest: an eigenvalue below it is none
+SURE = 3.0  # standard errors from zero, from which the sign of a size in a record is sure
 STEPS = 12  # of a fit with a value for each record
 LEAST = 0.05  # nats: a step that should gain less ends it
 SHORTER = 6  # times that a step is halved
@@ -54,6 +54,15 @@ class OwnValues:
     p_value: float
     gain: float
     further: int
+
+    def of_both_signs(self, sizes: Sequence[str]) -> str:
+        """One of the ``sizes`` that is surely above 0 in one record and below in another; "" without one."""
+        for name in self.names:
+            k = self.names.index(name)
+            away = self.values[:, k] / self.errors[:, k]
+            if name in sizes and away.min() < -SURE and away.max() > SURE:
+                return name
+        return ""
 
     def in_words(self, numbers: Sequence[int]) -> str:
         """The values, by the ``numbers`` (K,) of the records."""
@@ -94,30 +103,40 @@ def word_of_records(
     numbers: Sequence[int],
     named: Sequence[str],
     noises: Sequence[str],
+    sizes: Sequence[str] = (),
 ) -> Word | None:
     """What the records of ``series`` say of one set of parameters for all, beside what was ``named``.
 
     None where one will do. ``noises`` are those among the names that are of the noise: they are what such a
     difference looks like, and not trusted beside it. Another name is not where the records' own values alone
-    explain more, by the measure of Schwarz (1978).
+    explain more, by the measure of Schwarz (1978), nor where its size, among ``sizes``, has one sign in some
+    records and surely the other one in others: what grows here and decays there is no cause of both.
     """
     own = own_values(after if named else before, series)
-    if own is None:
-        return None
-    said = _said(own, numbers, named)
-    if noises:
+    if own is not None and noises:
         common = f"What common values get wrong looks like {enumerated([*noises])}, so no cause is named."
-        return Word(f"{said} {common}", True)
+        return Word(f"{_said(own, numbers, named)} {common}", True)
+    if own is None and not named:
+        return None
+    said = "" if own is None else _said(own, numbers, named)
     if named:
         alone = own_values(before, series)
         gained = 0.0 if alone is None else alone.gain - _cost(alone.further, series)
-        if alone is None or gained <= _worth(before, after, series):
+        if alone is not None and gained > _worth(before, after, series):
+            # beside a step in time, say, values are what that leaves
+            said = (
+                f"{_said(alone, numbers, ())} That explains more than {enumerated([*named])}, so no cause is "
+                "named."
+            )
+        elif own is None:
+            return None
+        elif opposite := own.of_both_signs(sizes):
+            either = (
+                f"In some records {opposite} is surely above 0, in others below: no cause is named."
+            )
+            return Word(f"{said} {either}", True)
+        else:
             return Word(f"{said} The sizes of what was found are those of a common fit.", False)
-        # beside a step in time, say, values are what that leaves
-        said = (
-            f"{_said(alone, numbers, ())} That explains more than {enumerated([*named])}, so no cause is "
-            "named."
-        )
     return Word(
         f"{said} Either they differ, or something that the model lacks does: diagnose a record by itself, or "
         "make what is known to differ an input of the model.",
@@ -193,8 +212,8 @@ class _Asking:
         """The parameter that gains most by own values beside those that have them, if one does surely."""
         tried = []
         for p in np.flatnonzero(self.asked & ~own).tolist():
-            statistic, freedom = asked_for(now.g, now.H, p, own)
-            if not freedom or chi2_sf(statistic, freedom) > WORTH:
+            freedom = asked_for(now.g, now.H, p, own)[1]
+            if not freedom:
                 continue
             more = own.copy()
             more[p] = True

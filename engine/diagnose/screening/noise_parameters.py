@@ -25,8 +25,9 @@ from engine.filters.sigma_point import MomentPath, moment_path
 from engine.statespace.model import MixedModel
 
 DIFFERENCE = 0.01  # of a parameter's scale, by which it is moved
-MEANS = (0, 2, 5)  # of what along_path returns: of the next state, the reading, the first state
-LATER = MEANS[:2]
+# of what along_path returns
+MEANS = NEXT, READING, FIRST = (0, 2, 5)
+LATER = (NEXT, READING)
 
 
 def noise_only(
@@ -39,17 +40,24 @@ def noise_only(
 ) -> NDArray[np.bool_]:
     """Which of the parameters ``indices`` (n,) change no mean of a step from where the filter was, (n,).
 
-    Where the model cannot be used beside theta they count as ones that do. ``means`` tells which are looked at.
+    Where the model cannot be used beside theta they count as ones that do. ``means`` tells which are looked at;
+    a step to where another record begins is one of its first state.
     """
-    here = along_path(model, theta, model, series, path)
+    begun = [] if FIRST in means else [row - 1 for row in series.begins]
+
+    def looked_at(at: Array) -> list[Array]:
+        moved = along_path(model, at, model, series, path)
+        return [np.delete(moved[m], begun, axis=0) if m == NEXT else moved[m] for m in means]
+
+    here = looked_at(theta)
     out = np.zeros(len(indices), dtype=bool)
     for i, k in enumerate(indices):
         ends = either_side(model, theta, int(k), DIFFERENCE)
         try:
-            moved = [along_path(model, end, model, series, path) for end in ends]
+            moved = [looked_at(end) for end in ends]
         except (EngineError, np.linalg.LinAlgError):
             continue
-        out[i] = all(np.array_equal(here[m], one[m]) for one in moved for m in means)
+        out[i] = all(np.array_equal(x, y) for one in moved for x, y in zip(here, one, strict=True))
     return out
 
 

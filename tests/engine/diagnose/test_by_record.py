@@ -1,12 +1,23 @@
 """Records that have parameters of their own: persons, batches, machines."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import engine
 from engine.data.joined import together
 from engine.data.series import Series
-from engine.diagnose.judging.by_record import asked_for, of_gain, own_values, word_of_records
+from engine.diagnose.judging import by_record
+from engine.diagnose.judging.by_record import (
+    OwnValues,
+    asked_for,
+    of_gain,
+    own_values,
+    word_of_records,
+)
+from engine.diagnose.screening.noise_parameters import moves_on
 from engine.distributions import chi2_sf
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.plain_models import dose
@@ -21,6 +32,24 @@ def persons(rates, seed=0):
     pairs = zip(FIRSTS, rates, strict=True)
     clean = [first * np.exp(-k * HOURS) for first, k in pairs]
     return [Series(y=(y + 0.02 * rng.standard_normal(12))[:, None], t=HOURS) for y in clean]
+
+
+def straight():
+    """A weight that grows as much each day."""
+    return engine.continuous(
+        name="animal",
+        drift=lambda a, u, t, theta: ([theta.g + 0.0 * a[:, 0]], np.zeros((1, 0))),
+        diffusion=lambda a, u, t, theta: [[theta.q]],
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[theta.r]]),
+        initial=lambda theta: (engine.Gaussian([350.0], [[1e5]]), [], np.zeros((0, 0))),
+        nonlinear={"w": "g"},
+        outputs={"y": "g"},
+        parameters=[
+            engine.Parameter("g", 1.0, "g/d", (-50, 50)),
+            engine.Parameter("q", 0.1, "g^2/d", (1e-6, 1e4)),
+            engine.Parameter("r", 1.0, "g^2", (1e-4, 1e4)),
+        ],
+    )
 
 
 def fitted(rates, seed=0):
@@ -43,6 +72,14 @@ def test_rates_of_their_own_are_told_with_their_values(differing):
     words = own.in_words([0, 1, 2, 3, 5, 4])
     assert words.startswith("in records 0, 1, 2, 3, 4 and 5, counted from 0, k = ")
     assert words.endswith("1/h")
+
+
+@pytest.mark.long
+def test_where_records_begin_moves_nothing_on(differing):
+    """Nor does a step from the end of one record to the beginning of the next."""
+    fit, series = differing
+    moved = moves_on(fit, series)
+    assert [name for name, on in zip(fit.free, moved, strict=True) if on] == ["k"]
 
 
 @pytest.mark.long
@@ -77,6 +114,55 @@ def test_a_cause_that_explains_less_than_differing_records_is_none(differing):
     assert word.refutes
     assert "beside" not in word.sentence  # the values are those without it
     assert "explains more than drag:conc" in word.sentence
+
+
+def test_a_size_that_is_above_zero_here_and_below_there_is_no_cause():
+    """Animals of three breeds that grow at rates of their own, the heavy one fastest: no growth by weight."""
+    values = np.array([[-0.017, 2.0], [0.007, 3.0], [-0.001, -4.0]])
+    errors = np.array([[0.003, 0.1], [0.001, 0.1], [0.002, 0.1]])
+    own = OwnValues(("linear_w", "g"), ("1/d", "kg/d"), values, errors, 1e-6, 40.0, 4)
+    assert own.of_both_signs(["linear_w"]) == "linear_w"
+    assert own.of_both_signs([]) == own.of_both_signs(["drag_w"]) == ""  # g is the model's own
+    assert replace(own, errors=3.0 * errors).of_both_signs(["linear_w"]) == ""
+
+
+def test_a_name_beside_which_records_differ(monkeypatch):
+    """Signs that differ refute a name, as does more that the records' own values explain without it."""
+    own = OwnValues(
+        ("linear_w",), ("1/d",), np.array([[-0.02], [0.01]]), np.full((2, 1), 0.001), 1e-6, 30.0, 1
+    )
+    before = SimpleNamespace(free=["g"], log_likelihood=0.0)
+    after = SimpleNamespace(free=["g", "linear_w"], log_likelihood=10.0)
+    series = SimpleNamespace(n_measured=100)
+
+    def word(beside, without, sizes=("linear_w",)):
+        said = {"before": without, "after": beside}
+        monkeypatch.setattr(
+            by_record, "own_values", lambda fit, _: said["before" if fit is before else "after"]
+        )
+        return word_of_records(before, after, series, [0, 1], ["linear:w"], [], sizes)
+
+    assert "surely above 0, in others below" in word(own, None).sentence
+    assert word(own, None).refutes
+    assert not word(own, None, ()).refutes
+    assert word(None, None) is None
+    assert word(None, replace(own, names=("g",))).refutes  # 30 gained without it, 20 by it
+    assert word(None, replace(own, gain=20.0)) is None
+
+
+@pytest.mark.long
+def test_noise_hides_that_records_differ_from_a_score():
+    """As long as one rate is to hold for all, noise takes the rest, and no score asks for others."""
+    rng, days = np.random.default_rng(3), 7.0 * np.arange(12)
+    light = [(250.0, 0.9, -0.02), (260.0, 0.8, -0.015), (270.0, 1.0, -0.02)]  # g, g/d, 1/d
+    heavy = [(500.0, 1.6, 0.006), (520.0, 1.8, 0.005), (540.0, 2.4, 0.006)]
+    ys = [first + rate * np.expm1(k * days) / k for first, rate, k in light + heavy]
+    records = [Series(y=(y + rng.standard_normal(12))[:, None], t=days) for y in ys]
+    series = together(records)
+    own = own_values(quasi_ml(straight(), series), series)
+    assert own.names == ("g",)
+    assert own.gain > 100.0
+    assert own.values[:3].max() < 0.7 < 1.9 < own.values[3:].min()
 
 
 def test_what_many_rows_gain_is_chi_squared_and_what_few_gain_is_less_sure():
