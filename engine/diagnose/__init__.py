@@ -150,7 +150,7 @@ def diagnose(  # noqa: PLR0913
         Kinds such as ``drag``, or names such as ``drag:velocity``, to look for; the whole catalogue by default.
     max_effects : int
         Upper limit on effects found in turn; more than two, beside outliers, make the verdict ``unknown``.
-        Steps that came at one time count as one.
+        Steps that came at one time count as one, as a wave and its overtones do.
     free : sequence of str, optional
         Names of the parameters to estimate, all by default; the others keep their start value.
     callback : callable, optional

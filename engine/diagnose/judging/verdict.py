@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.traits import Course
 from engine.diagnose.judging.findings import (
     AS_LIKELY,
     CONTRADICTED,
@@ -22,7 +23,7 @@ from engine.diagnose.judging.findings import (
 from engine.diagnose.refits.amplitude import amplitude_of
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.likeness import as_foreseen, merely_wider
-from engine.diagnose.refits.refitted import Refit, further_parameters
+from engine.diagnose.refits.refitted import LEAST_ERRORS, Refit, further_parameters
 from engine.diagnose.refits.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.screening.screen import Screen
@@ -122,11 +123,12 @@ def patchwork(search: Search, alpha: float) -> str:
     how the rest of a cause looks that another effect explains in part, unless each gains more beside the
     other than by itself; or where something is still seen, at ``LEFT * alpha``, after two effects or after
     noise. Outliers, which hide others, count in the last rule only, and an error of the model's steps in none.
-    Steps that came at one time count as one.
+    Steps that came at one time count as one, and so do a wave and its overtones.
     """
     # what the model's own steps get wrong is there beside whatever is found
     found = [one.effect for one in search.named if not as_foreseen(one.effect, one.fit)]
-    found = [effect for effect in found if effect.name not in search.at_once[1:]]
+    same = {*search.at_once[1:], *_overtones(search)}
+    found = [effect for effect in found if effect.name not in same]
     effects = counted(found)
     noises = [effect.name for effect in effects if effect.family == "noise"]
     if len(effects) > PATCHES:
@@ -140,6 +142,26 @@ def patchwork(search: Search, alpha: float) -> str:
             names = " and ".join(effect.name for effect in found)
             return f"something is still seen beside {names} ({probability(left.p_value, left.at_floor)})"
     return ""
+
+
+def _overtones(search: Search) -> list[str]:
+    """Harmonics at a multiple of the frequency of another: what repeats, as a season does, is no pure wave."""
+    waves = []
+    for effect in (one.effect for one in search.named):
+        if effect.traits.course is not Course.HARMONIC:
+            continue
+        fit, name = search.final, effect.timing.name
+        if name in fit.free:
+            waves.append((effect.name, fit.theta[name], fit.standard_errors[fit.free.index(name)]))
+    return [
+        name
+        for name, f, error in waves
+        if any(
+            (k := round(f / lowest)) > 1
+            and abs(f - k * lowest) <= LEAST_ERRORS * np.hypot(error, k * own)
+            for _, lowest, own in waves
+        )
+    ]
 
 
 def counted(effects: Iterable[Effect]) -> list[Effect]:

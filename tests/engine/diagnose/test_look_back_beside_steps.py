@@ -89,7 +89,7 @@ def test_what_the_steps_get_wrong_is_no_patch(of_the_steps):
         effect = SimpleNamespace(
             name=name,
             family="state",
-            traits=SimpleNamespace(outliers=False, bends=False, foreseen=None),
+            traits=SimpleNamespace(outliers=False, bends=False, foreseen=None, course=None),
         )
         return SimpleNamespace(effect=effect, fit=None)
 

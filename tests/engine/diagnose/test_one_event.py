@@ -112,3 +112,25 @@ def test_a_load_is_named_by_what_it_alters():
     assert told.verdict.value in ("named", "set")
     assert {cause.effect for cause in told.causes} == set(NAMES)
     assert any("are one event" in note for note in told.notes)
+
+
+@pytest.mark.parametrize(("second", "said"), [(2.003, ""), (1.8, "more than 2 effects are needed")])
+def test_a_wave_and_its_overtone_are_one(second, said):
+    """A season rises faster than it falls: two harmonics, one cause."""
+    setting = Setting(engine.get_model("local-level"))
+    names = ["harmonic:level", "harmonic:flow", "pole:level"]
+    effects = [make_effect(name, setting) for name in names]
+    first, other = (f"{effect.size.name}_frequency" for effect in effects[:2])
+    fit = SimpleNamespace(
+        theta={first: 1.001, other: second}, free=[first, other], standard_errors=[0.001, 0.002]
+    )
+    rounds = (SimpleNamespace(equivalent=("pole",)),)
+    search = SimpleNamespace(
+        named=[SimpleNamespace(effect=effect, fit=fit) for effect in effects],
+        final=fit,
+        at_once=(),
+        rounds=rounds,
+        of_the_steps="",
+        has_noise_apart=False,
+    )
+    assert patchwork(search, 0.05) == said
