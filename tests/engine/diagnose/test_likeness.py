@@ -124,6 +124,22 @@ def test_a_wider_kind_must_be_clearly_ahead_of_what_it_contains():
     assert len(distinct(elsewhere, None, place("rate"))) == 2
 
 
+@pytest.mark.parametrize(
+    ("wide", "plain"),
+    [
+        ("episode:speed", "step:speed"),
+        ("episode:reading", "pulse:reading"),
+        ("parameter-episode:damping", "parameter-step:damping"),
+    ],
+)
+def test_an_episode_that_is_not_over_before_the_record_is_a_step(wide, plain):
+    """Or a pulse where it lasts one sample: its end must gain more than it costs."""
+    both = refits((wide, 40.0, 2.0), (plain, 39.0, 1.0))
+    assert names(distinct(both, None, place("neither"))) == [plain]
+    surely = refits((wide, 40.0, 2.0), (plain, 37.0, 1.0))
+    assert wide in names(distinct(surely, None, place("neither")))
+
+
 def half_way(score, ends_at, name):
     """A refit given up at a score, which would end at another."""
     return SimpleNamespace(

@@ -120,7 +120,13 @@ def _change(when: Course, further_of: Callable[[str, Setting], list[Parameter]])
             held=tuple(p.name for p in further[SOUGHT[when] :]),
             look_alikes=LOOK_ALIKES[when],
             runs=course,
-            traits=Traits(when, of_parameter=True, swallowed=when is Course.STEP),
+            traits=Traits(
+                when,
+                of_parameter=True,
+                swallowed=when is Course.STEP,
+                # one that is not over before the record is
+                contains=("parameter-step",) if when is Course.EPISODE else (),
+            ),
         )
 
     return at_parameters(kind, make, lambda setting: setting.model.parameter_names)

@@ -214,7 +214,8 @@ KINDS: list[Kind] = [
             "pulse": "lasts one sample",
             "parameter-episode": "alters how the model answers",
         },
-        traits=Traits(Course.EPISODE),
+        # one that is not over before the record is, or that lasts a sample
+        traits=Traits(Course.EPISODE, contains=("step", "pulse")),
     ),
     _signal(
         "ramp",
