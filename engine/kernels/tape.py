@@ -20,7 +20,8 @@ NAMES = """
     maximum minimum where less less_equal greater greater_equal equal not_equal logical_and
     logical_or logical_not tan arctan arctan2 arcsin arccos sinh cosh expm1 log1p log10 log2 exp2
     hypot remainder fmod floor ceil rint trunc copysign reciprocal isfinite isnan erf floor_divide
-    fmax fmin heaviside cbrt arcsinh arccosh arctanh expit check_finite over_a_step interp holds fails
+    fmax fmin heaviside cbrt arcsinh arccosh arctanh expit check_finite over_a_step interp before up_to entry
+    holds fails
 """.split()  # noqa: SIM905
 CODES = {name: code for code, name in enumerate(NAMES)}
 (
@@ -29,7 +30,8 @@ CODES = {name: code for code, name in enumerate(NAMES)}
     EQUAL, NOT_EQUAL, LOGICAL_AND, LOGICAL_OR, LOGICAL_NOT, TAN, ARCTAN, ARCTAN2, ARCSIN,
     ARCCOS, SINH, COSH, EXPM1, LOG1P, LOG10, LOG2, EXP2, HYPOT, REMAINDER, FMOD, FLOOR, CEIL,
     RINT, TRUNC, COPYSIGN, RECIPROCAL, ISFINITE, ISNAN, ERF, FLOOR_DIVIDE, FMAX, FMIN, HEAVISIDE,
-    CBRT, ARCSINH, ARCCOSH, ARCTANH, EXPIT, CHECK_FINITE, OVER_A_STEP, INTERP, HOLDS, FAILS,
+    CBRT, ARCSINH, ARCCOSH, ARCTANH, EXPIT, CHECK_FINITE, OVER_A_STEP, INTERP, BEFORE, UP_TO,
+    ENTRY, HOLDS, FAILS,
 ) = range(len(NAMES))  # fmt: skip
 
 
@@ -134,6 +136,12 @@ def go_through(tape, links, W, lost):
             _over_a_step(links[tape[line, 1]], W)
         elif code == INTERP:
             _interp(links[tape[line, 1]], W, out)
+        elif code == ENTRY:
+            if not _entry(links[tape[line, 1]], W, out, lost):
+                return False
+        elif code >= BEFORE:
+            if not _searched(links[tape[line, 1]], W, out, code == UP_TO, lost):
+                return False
         else:
             for m in range(M):
                 W[out, m] = _seldom(code, W[x, m], W[y, m])
@@ -215,6 +223,47 @@ def _interp(link, W, out):
             low, left = W[heights[i], m], W[points[i], m]
             slope = (W[heights[j], m] - low) / (W[points[j], m] - left)
             W[out, m] = slope * (x - left) + low
+
+
+@njit(cache=True, error_model="numpy")
+def _searched(link, W, out, up_to, lost):
+    """How many of n ordered points are before x, or ``up_to`` it; ``link``: n, the rows of x and of the points.
+
+    Whether x is finite in all rows that are not lost.
+    """
+    n, x_ = link[0], link[1]
+    for m in range(W.shape[1]):
+        x = W[x_, m]
+        if not (math.isfinite(x) or _is_lost(m, W, lost)):
+            return False
+        i, j = 0, n
+        while i < j:
+            k = (i + j) // 2
+            point = W[link[2 + k], m]
+            if point < x or (up_to and point == x):
+                i = k + 1
+            else:
+                j = k
+        W[out, m] = i
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _entry(link, W, out, lost):
+    """The k-th of n entries, from the end where k < 0; ``link``: n, the row of W that has k, and theirs.
+
+    Whether there is one, in all rows that are not lost.
+    """
+    n, k_ = link[0], link[1]
+    for m in range(W.shape[1]):
+        k = W[k_, m]
+        if k >= -n and k < n and k == math.floor(k):
+            W[out, m] = W[link[2 + (int(k) + n) % n], m]
+        elif _is_lost(m, W, lost):
+            W[out, m] = np.nan
+        else:
+            return False
+    return True
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,8 +29,10 @@ from engine.statespace.recorded.numbers import (
     check_finite,
 )
 from engine.statespace.recorded.of_numpy import Between
+from engine.statespace.recorded.of_python import Searched
 from engine.statespace.recorded.paths import Output
 from engine.statespace.recorded.program import outputs_of, traced_arguments
+from engine.statespace.recorded.tables import At
 from engine.statespace.rows import Array
 from engine.statespace.traced_step import over_a_step
 
@@ -175,7 +177,10 @@ def _lines(
         work[slot] = np.repeat(known[i], copies) if np.ndim(known[i]) else known[i]
     lines = np.array(codes, dtype=np.int64).reshape(-1, 5)
     functions = [step.function for step in rest if isinstance(step, Operation)]
-    raises = any(one in RAISING or one is check_finite or _checked(one) for one in functions)
+    raises = any(
+        one in RAISING or one is check_finite or isinstance(one, Searched | At) or _checked(one)
+        for one in functions
+    )
     width = max(map(len, space.links), default=1)
     links = np.zeros((len(space.links), width), dtype=np.int64)
     for link, entries in zip(links, space.links, strict=True):
@@ -306,6 +311,11 @@ class _Space:
             return self._step(step) if step.function.function in STEPS else None
         if isinstance(step.function, Between):
             return self._between(step, step.function)
+        if isinstance(step.function, Searched):
+            side = "before" if step.function.side[0] == "l" else "up_to"
+            return self._linked(step, CODES[side], [self._slot(step.of[0])], step.function.points)
+        if isinstance(step.function, At):
+            return self._entry(step, step.function)
         code = self._code(step)
         if code is None or len(step.of) > OPERANDS:
             return None
@@ -335,6 +345,24 @@ class _Space:
         self.slots[step.out] = self._new()
         self.links.append([len(points), x, *points, *heights, *fixed])
         return CODES["interp"], len(self.links) - 1, 0, 0, self.slots[step.out]
+
+    def _entry(self, step: Operation, at: At) -> tuple[int, ...] | None:
+        """The line of an entry of a table of one row, whose numbers, or operands, are linked."""
+        numbers = np.empty(0) if at.table is None else at.table
+        if at.keys != 1 or numbers.ndim > 1:
+            return None
+        return self._linked(step, CODES["entry"], [self._slot(i) for i in step.of], numbers)
+
+    def _linked(
+        self, step: Operation, code: int, rows: Sequence[int], numbers: Array
+    ) -> tuple[int, ...] | None:
+        """The line of what takes one operand and n others, among which may be numbers, by their links."""
+        if len(numbers) > POINTS:
+            return None
+        rows = [*rows, *map(self._number, numbers.tolist())]
+        self.slots[step.out] = self._new()
+        self.links.append([len(rows) - 1, *rows])
+        return code, len(self.links) - 1, 0, 0, self.slots[step.out]
 
     def _number(self, value: float) -> int:
         """The row of a number that is none of the tape's."""

@@ -20,6 +20,7 @@ from engine.statespace.recorded.arrays import (
     opened,
 )
 from engine.statespace.recorded.numbers import Traced, check_finite, record, whole
+from engine.statespace.rows import Array
 
 
 def _plain_or(function: Callable[..., Any], ufunc: Callable[..., Any]) -> Callable[..., Any]:
@@ -175,14 +176,21 @@ def _bisected(function: Callable[..., Any], side: str) -> Callable[..., Any]:
     return unless_traced(function, own)
 
 
+class Searched:
+    """``np.searchsorted`` of numbers in ``points`` (n,), on one ``side``."""
+
+    def __init__(self, points: Array, side: Any) -> None:
+        self.points, self.side = points, side
+
+    def __call__(self, value: Any) -> Any:
+        """The places, for a number or (M,)."""
+        return np.searchsorted(self.points, check_finite(value), side=self.side).astype(float)
+
+
 def searched(grid: Any, x: Any, side: Any = "left") -> Any:
-    """``np.searchsorted`` of a number that is one."""
+    """``np.searchsorted`` of a number that is traced."""
     points = np.asarray(as_numbers(grid), dtype=float)
-
-    def place(value: Any) -> Any:
-        return np.searchsorted(points, check_finite(value), side=side).astype(float)
-
-    return record(place, (x.item() if isinstance(x, TracedArray) else x,))
+    return record(Searched(points, side), (x.item() if isinstance(x, TracedArray) else x,))
 
 
 OF_PYTHON: dict[Any, Any] = {

@@ -16,12 +16,12 @@ class At:
     """The entry of ``table`` (n, ...) at whole numbers; where there is none the entries (n,) are operands."""
 
     def __init__(self, table: Array | None, keys: int) -> None:
-        self._table, self._keys = table, keys
+        self.table, self.keys = table, keys
 
     def __call__(self, *operands: Any) -> Any:
         """The entries, for numbers or (M,)."""
-        keys, entries = operands[: self._keys], operands[self._keys :]
-        table = self._table
+        keys, entries = operands[: self.keys], operands[self.keys :]
+        table = self.table
         if table is None:
             table = np.array(
                 np.broadcast_arrays(*entries, *(k for k in keys if is_rows(k)))[: len(entries)]
@@ -31,7 +31,7 @@ class At:
         if not all(((key >= -n) & (key < n) & (key == np.trunc(key))).all() for key, n in ends):
             raise ValueError("there is no such entry")
         whole = tuple(key.astype(np.intp) for key in at)
-        if self._table is None and table.ndim > 1:
+        if self.table is None and table.ndim > 1:
             return table[whole[0], np.arange(table.shape[1])]
         return table[whole]
 

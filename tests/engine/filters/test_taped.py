@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 
 import numpy as np
@@ -17,6 +18,7 @@ from engine.data.joined import joined
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.of_series import setting_for
+from engine.errors import ModelError
 from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.heavy_tails import with_mixture
 from engine.filters.sigma_point import moment_filter, moment_path, run_on_tape
@@ -306,7 +308,8 @@ def test_what_a_function_changes_its_mind_about_is_seen():
     "function",
     [
         lambda x: np.interp(x, np.linspace(0.0, 2.0, 101), np.linspace(0.0, 1.5, 101) ** 2),
-        lambda x: np.array([[1.0, 2.0, 3.0][int(v) % 3] for v in x]),
+        lambda x: np.arange(101.0)[np.searchsorted(np.linspace(0.0, 2.0, 100), x)],
+        lambda x: np.eye(3)[np.int64(x) % 3, 1],
         lambda x: np.logaddexp(x, 0.5),
     ],
 )
@@ -334,6 +337,10 @@ def test_what_the_kernel_does_not_know_is_called(function, monkeypatch):
         lambda x: np.fmin(0.5, x), lambda x: np.float_power(x, 1.5),
         lambda x: np.interp(x, [0.2, 1.0, 2.0, 2.1], [0.1, 1.0, 1.5, 1.2]),
         lambda x: np.interp(x, np.linspace(0.0, 9.0, 100), np.linspace(0.0, 3.0, 100) ** 0.5),
+        lambda x: np.searchsorted([0.2, 1.0, 1.0, 2.0], x),
+        lambda x: np.searchsorted([0.2, 1.0, 1.0, 2.0], np.floor(x), side="right"),
+        lambda x: np.array([0.1, 0.7, 0.3])[-1 - np.searchsorted([0.2, 1.0], x)],
+        lambda x: np.array([1.0, 2.0, 3.0])[x.astype(int) % 3],
     ],
 )  # fmt: skip
 def test_functions_of_numpy(function, monkeypatch):
@@ -353,6 +360,8 @@ def test_functions_of_numpy(function, monkeypatch):
         lambda x, th: max(x - 0.4, 0.1) + math.floor(3.0 * x) + math.ceil(x) + math.trunc(x),
         lambda x, th: x * math.isclose(x, th.k, abs_tol=0.5),
         lambda x, th: float(np.interp(x, [0.2, 1.0, 2.0], [0.1, th.k, 1.5 * th.k])),
+        lambda x, th: np.array([1.0, 2.0, 3.0])[int(x) % 3],
+        lambda x, th: np.array([0.1, th.k, 0.8, 2.0])[bisect.bisect([0.2, 1.0, 2.0], x)],
     ],
 )
 def test_functions_of_python_in_a_loop_over_particles(function, monkeypatch):
@@ -384,6 +393,18 @@ def test_what_inputs_and_times_alone_tell_may_be_any_function(even, monkeypatch)
     own = moving_on_tape(FilterSteps(model, Thetas(model, thetas), series), np.zeros((3 * K, 1)))
     assert own.u.shape[1] > series.u.shape[1]
     assert own.u.flags.c_contiguous  # the one layout that kernels are compiled for
+
+
+def test_an_entry_that_no_table_has_leaves_the_tape():
+    """A call says what is wrong; it is met after some time only."""
+    table = np.array([0.9, 0.95, 1.0])
+
+    def dynamics(a, u, t, dt, theta):
+        return theta.k * table[np.int64(np.abs(a[:, 0]) + t)][:, None], np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    with pytest.raises(ModelError, match="index"):
+        moment_filter(model, thetas_of(model, 1), series_for(model, 1))
 
 
 def test_a_filter_that_is_lost_is_lost_on_tape_too():
