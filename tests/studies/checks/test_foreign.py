@@ -157,16 +157,21 @@ def inverse(units):
 
 
 @pytest.mark.parametrize(
-    ("name", "effect"), [("pendulum", "drag:rate"), ("spring", "cubic:position->velocity")]
+    ("name", "effect", "of"),
+    [
+        ("pendulum", "drag:rate", "drag"),
+        ("spring", "cubic:position->velocity", "cubic"),
+        ("motor", "parameter-slope:speed->J", ""),
+    ],
 )
-def test_sizes_are_converted(name, effect):
+def test_sizes_are_converted(name, effect, of):
     """An extension at the converted size has the same likelihood in other units."""
     system, cell = SYSTEMS[name], cells.Cell(name, cells.CLEAN, "ordinary")
     units = replace(system.units, zero={})
     series = series_of(cell, 0.0, [8])[0].part(0, 40)
     model = system.base("ordinary")
     there = converted(model, units)
-    size = 0.3 * system.faults["drag" if name == "pendulum" else "cubic"].first
+    size = 0.3 * system.faults[of].first if of else 1e-7  # kg m^2 per rpm
     factor = size_factor(effect, model, units)
     ends = []
     for one, record, value in (

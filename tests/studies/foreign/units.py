@@ -129,7 +129,8 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
     x, y = (units.scale.get(name, 1.0) for name in (source, target or source))
     k = units.time
     if kind.startswith("parameter-"):
-        return parameter_scales(model)[model.parameter_names.index(channel)]
+        factor = parameter_scales(model)[model.parameter_names.index(target or source)]
+        return factor / x if target else factor
     if kind in ("step", "pulse", "episode", "harmonic") and source in model.outputs:
         return x
     if kind == "path":
