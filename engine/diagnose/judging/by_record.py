@@ -5,9 +5,9 @@ wrong comes out as noise that changes with time, or as an effect that says it in
 value for each record, all else is fitted anew, and both fits are compared. Noise takes what differs for its own
 as long as there is one value, so a score beside the common fit tells next to nothing of what a fit will gain.
 
-The score of record k is g_k. Of parameter p the values that the records ask for are d = D^+ g with
-D = diag(H_k,pp) - C H^{-1} C', where C has the rows H_k,p of each record's information and H their sum: what
-parameters that all share may make up for is taken away (Rao 1948).
+Of parameter p the records ask for as many values as D = diag(H_k,pp) - C H^{-1} C' has directions, where C has
+the rows H_k,p of each record's information and H their sum: what parameters that all share may make up for is
+taken away (Rao 1948).
 """
 
 from __future__ import annotations
@@ -57,8 +57,7 @@ class OwnValues:
 
     def of_both_signs(self, sizes: Sequence[str]) -> str:
         """One of the ``sizes`` that is surely above 0 in one record and below in another; "" without one."""
-        for name in self.names:
-            k = self.names.index(name)
+        for k, name in enumerate(self.names):
             away = self.values[:, k] / self.errors[:, k]
             if name in sizes and away.min() < -SURE and away.max() > SURE:
                 return name
@@ -212,7 +211,7 @@ class _Asking:
         """The parameter that gains most by own values beside those that have them, if one does surely."""
         tried = []
         for p in np.flatnonzero(self.asked & ~own).tolist():
-            freedom = asked_for(now.g, now.H, p, own)[1]
+            freedom = values_told(now.H, p, own)
             if not freedom:
                 continue
             more = own.copy()
@@ -300,30 +299,22 @@ def of_gain(gain: float, freedom: int, rows: int, left: int) -> float:
     return f_sf(float(np.expm1(gain / rows)) * left / freedom, freedom, left)
 
 
-def asked_for(g: Array, H: Array, p: int, own: Mask) -> tuple[float, int]:
-    """How much the records ask for values of their own of parameter p, beside those that are ``own``.
+def values_told(H: Array, p: int, own: Mask) -> int:
+    """How many values more the records tell of parameter p, beside those that are ``own``; 0 for one alone.
 
-    Chi-squared with the second number as its degrees of freedom. ``g`` (K, n), ``H`` (K, n, n) of each record.
+    ``H`` (K, n, n) is the information of each record.
     """
     told = H[:, p, p] > 0.0
     if told.sum() < 2:
-        return 0.0, 0
+        return 0
     shared = ~own
     scale = np.sqrt(np.maximum(np.einsum("kii->i", H), 0.0))
     inverse = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     H = H * inverse[:, None] * inverse
-    g = g * inverse
     if own.any():  # a record's own values are moved by itself
         back = np.linalg.pinv(H[:, own][:, :, own], rcond=FLAT, hermitian=True)
-        follow = H[:, :, own] @ back
-        g = g - np.einsum("kij,kj->ki", follow, g[:, own])
-        H = H - follow @ H[:, own]
+        H = H - H[:, :, own] @ back @ H[:, own]
         told &= H[:, p, p] > FLAT * H[:, p, p].max(initial=0.0)
     common = np.linalg.pinv(H[:, shared][:, :, shared].sum(axis=0), rcond=FLAT, hermitian=True)
-    size = np.sqrt(H[told, p, p])
-    C = H[told, p][:, shared] / size[:, None]
-    values, vectors = np.linalg.eigh(np.eye(len(size)) - C @ common @ C.T)
-    there = values > FLAT
-    rest = g[told, p] / size - C @ common @ g[:, shared].sum(axis=0)  # none at a maximum
-    along = vectors[:, there].T @ rest
-    return float((along**2 / values[there]).sum()), int(there.sum())
+    C = H[told, p][:, shared] / np.sqrt(H[told, p, p])[:, None]
+    return int((np.linalg.eigvalsh(np.eye(len(C)) - C @ common @ C.T) > FLAT).sum())

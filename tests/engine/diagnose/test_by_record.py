@@ -12,9 +12,9 @@ from engine.data.series import Series
 from engine.diagnose.judging import by_record
 from engine.diagnose.judging.by_record import (
     OwnValues,
-    asked_for,
     of_gain,
     own_values,
+    values_told,
     word_of_records,
 )
 from engine.diagnose.screening.noise_parameters import moves_on
@@ -171,14 +171,17 @@ def test_what_many_rows_gain_is_chi_squared_and_what_few_gain_is_less_sure():
     assert of_gain(-1.0, 5, 40, 30) == of_gain(9.0, 5, 6, 0) == 1.0
 
 
-def test_what_shared_parameters_make_up_for_asks_for_nothing():
-    """Scores that are what another parameter, moved for all records, would make of them."""
+def test_what_shared_parameters_make_up_for_is_no_value_of_a_record():
+    """Of three records two values more; one less where another parameter does to all what one of these does."""
     H = np.array([[[2.0, 1.0], [1.0, 1.0]], [[3.0, 2.0], [2.0, 4.0]], [[1.0, 0.0], [0.0, 2.0]]])
     none = np.zeros(2, dtype=bool)
-    statistic, freedom = asked_for(H[:, :, 1] * 0.7, H, 0, none)
-    assert freedom == 2
-    assert statistic == pytest.approx(0.0, abs=1e-12)
-    assert asked_for(H[:, :, 1] * [[1.0], [-1.0], [0.0]], H, 0, none)[0] > 0.1
+    assert values_told(H, 0, none) == 2
+    tied = H.copy()  # in the first record alone, and there the other does the same
+    tied[:, 1, 0] = tied[:, 0, 1] = [2.0, 0.0, 0.0]
+    tied[:, 1, 1] = [2.0, 0.0, 0.0]
+    assert values_told(tied, 0, none) == 1
+    H[1:, 0] = H[1:, :, 0] = 0.0
+    assert values_told(H, 0, none) == 0
 
 
 @pytest.mark.long
