@@ -322,24 +322,27 @@ def _fitted(
     problem.look_for_silent()
     check_enough(problem.series, problem.active.size, len(problem.series) * problem.uncertain.size)
     starts = problem.starts(n_starts, np.random.default_rng(seed))
-    told.begin(len(starts) + 2)
     tried: list[OptimizeResult] = []
 
     def least() -> OptimizeResult:
         return min(tried, key=lambda end: float(end.cost))
 
-    for start in (*starts, None):
-        p = grown(problem, problem.start(), SHORT) if start is None else start
-        with suppress(ModelError):
-            tried += [] if p is None else [problem.descend(p, SHORT)]
-        if tried and told.stops():
-            return least(), tried, len(tried)
+    def ends(p: Array | None) -> bool:
+        """Follow a start for a little, where it can be; whether the caller stops at those tried so far."""
+        if p is not None:
+            with suppress(ModelError):
+                tried.append(problem.descend(p, SHORT))
+        return told.stops() and bool(tried)
+
+    told.begin(len(starts) + 2)
+    if any(map(ends, starts)) or ends(grown(problem, problem.start(), SHORT)):
+        return least(), tried, len(tried)
     if not tried:
         problem.runs_away()
     if _follows_poorly(problem, least()):  # all may have slipped
-        for p in (grown(problem, start, SHORT) for start in starts):
-            with suppress(ModelError):
-                tried += [] if p is None else [problem.descend(p, SHORT)]
+        told.begin(len(starts) + 1)
+        if any(ends(grown(problem, start, SHORT)) for start in starts):
+            return least(), tried, len(tried)
     return problem.descend(least().x, evaluations), tried, 0
 
 
