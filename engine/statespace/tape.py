@@ -44,7 +44,7 @@ CODE_OF = {getattr(np, name): code for name, code in CODES.items() if hasattr(np
     check_finite: CODES["check_finite"],
 }
 RESULTS, OPERANDS = 3, 3
-POINTS = 100  # of an interpolation, each of which is a row of the work space
+POINTS = 100  # of an interpolation or a table, each of which is a row of the work space
 STEPS = (over_a_step, checked_step)  # functions of whole matrices that the kernel knows
 SQUARE = 2.0
 OF_BOOLEANS = {  # the same as these, of numbers that are true or not

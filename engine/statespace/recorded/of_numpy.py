@@ -21,6 +21,7 @@ from engine.statespace.recorded.arrays import (
     traced_array,
 )
 from engine.statespace.recorded.numbers import Traced, UntraceableError, record
+from engine.statespace.recorded.of_libraries import of_library
 from engine.statespace.recorded.of_python import kind_of, searched, unless_traced, within
 from engine.statespace.rows import Array
 
@@ -123,25 +124,18 @@ def _expm(M: Any) -> Any:
     """``scipy.linalg.expm``, which takes one matrix of a stack after the other: by a kernel that takes all.
 
     That is the series of :func:`engine.discretize`, which filters have on their tape. Where entries of very
-    different size let the two differ already here, SciPy's, of each distinct matrix.
+    different size let the two differ already here, it is recorded as other functions of SciPy are.
     """
-    if np.ndim(M) != 2 or not has_traced([np.asarray(_nested(M))]):
-        return _arrays(scipy.linalg.expm)(M)
-    values = np.reshape([getattr(x, "value", x) for x in _nested(M).ravel().tolist()], np.shape(M))
-    if np.isfinite(values).all():
-        with np.errstate(all="ignore"):
-            own, by_kernel = scipy.linalg.expm(values), discretize(values, dt=1.0)[0]
-        if (np.abs(own - by_kernel) <= ALIKE * np.abs(own)).all():
-            return _discretize(M, dt=1.0)[0]
-    return _arrays(_of_distinct)(M)
-
-
-def _of_distinct(M: Array) -> Array:
-    """``scipy.linalg.expm`` (..., n, n), once for matrices that are the same."""
-    n = M.shape[-1]
-    distinct, back = np.unique(M.reshape(-1, n * n), axis=0, return_inverse=True)
-    found = scipy.linalg.expm(distinct.reshape(-1, n, n))
-    return np.asarray(found[back.ravel()].reshape(M.shape))
+    entries = np.asarray(_nested(M))
+    if entries.ndim == 2 and has_traced([entries]):
+        values = [getattr(x, "value", x) for x in entries.ravel().tolist()]
+        F = np.reshape(values, entries.shape)
+        if np.isfinite(F).all():
+            with np.errstate(all="ignore"):
+                own, by_kernel = scipy.linalg.expm(F), discretize(F, dt=1.0)[0]
+            if (np.abs(own - by_kernel) <= ALIKE * np.abs(own)).all():
+                return _discretize(M, dt=1.0)[0]
+    return of_library(scipy.linalg.expm)(M)
 
 
 def _norm(x: Any) -> Any:

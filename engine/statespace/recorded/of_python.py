@@ -19,7 +19,13 @@ from engine.statespace.recorded.arrays import (
     has_traced,
     opened,
 )
-from engine.statespace.recorded.numbers import Traced, check_finite, record, whole
+from engine.statespace.recorded.numbers import (
+    Traced,
+    UntraceableError,
+    check_finite,
+    record,
+    whole,
+)
 from engine.statespace.rows import Array
 
 
@@ -190,6 +196,8 @@ class Searched:
 def searched(grid: Any, x: Any, side: Any = "left") -> Any:
     """``np.searchsorted`` of a number that is traced."""
     points = np.asarray(as_numbers(grid), dtype=float)
+    if not (np.diff(points) >= 0.0).all():  # what is found there depends on how it is looked for
+        raise UntraceableError
     return record(Searched(points, side), (x.item() if isinstance(x, TracedArray) else x,))
 
 
