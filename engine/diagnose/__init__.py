@@ -2,7 +2,7 @@
 
 :func:`diagnose` fits the model to the training part, screens every effect of the catalogue on it,
 refits the best ones, and repeats on the extended model until nothing is left to see. What was found in
-turn is then weighed again, each beside the others. Its verdict is
+turn is then weighed again, each beside the others, and dropped where it is not seen beside them. Its verdict is
 
 - ``nothing``: no alarm at the family-wise level alpha;
 - ``named``: in every round with an alarm one effect is left, MARGIN ahead of all others in score and

@@ -16,7 +16,7 @@ cosine), and |P_l e_k| / |e_k| is how much of it l explains as well, P_l the pro
 smaller of the two ways is their likeness: |cos| of v~_k and v~_l where both have one column. Families over
 an unknown time or frequency count as one test by their maximum. The family-wise p-value is Westfall and
 Young's min-p over multiplier draws, in which every time's contribution s~_t keeps its size and gets a
-random sign.
+random sign. Where few times make up a score, its values are scaled by what its draws are larger than chi2.
 """
 
 from __future__ import annotations
@@ -204,9 +204,12 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
             observed.append(min(1.0, test.tries * float(chi2_sf(found.max(), test.degrees))))
             drawn.append(rng.random(n))
         else:
-            # where the draws are too few to count, and for all of a single test, by their tail
-            counted = COUNTED_DRAWS if family else np.inf
-            p_values = tail_of.p_values(np.append(found.max(), draws), draws, counted)
+            # data and draws go by the same rule, so that its error is in both
+            values = np.append(found.max(), draws)
+            p_values = tail_of.p_values(values)
+            if family:  # by their tail only beyond the last draws
+                above = (draws >= values[:, None]).sum(axis=1)
+                p_values = np.where(above >= COUNTED_DRAWS, (1.0 + above) / (n + 1.0), p_values)
             observed.append(float(p_values[0]))
             drawn.append(p_values[1:])
     lowest = np.min(drawn, axis=0)
@@ -262,16 +265,9 @@ class _Tail:
     scale: float
     degrees: int
 
-    def p_values(self, values: Array, draws: Array, counted: float) -> Array:
-        """p (n,) of values, from the draws above them where these are ``counted`` at least.
-
-        Data and draws go by the same rule, so that its error is in both.
-        """
-        beyond = np.minimum(1.0, self.tests * chi2_sf(values / self.scale, self.degrees))
-        if not np.isfinite(counted):
-            return np.asarray(beyond)
-        count = (draws >= values[:, None]).sum(axis=1)
-        return np.where(count >= counted, (1.0 + count) / (len(draws) + 1.0), beyond)
+    def p_values(self, values: Array) -> Array:
+        """p (n,) of values (n,)."""
+        return np.minimum(1.0, self.tests * chi2_sf(values / self.scale, self.degrees))
 
 
 def _tail(draws: Array, degrees: int, most: float, fewer: bool) -> _Tail:
