@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -68,10 +69,15 @@ def rows_by_tape(
         (a, z, Z, w, log_w, ess),
         options,
         rng,
-        tuple(updated),
-        tuple(predicted),
+        tuple(map(_flat, updated)),
+        tuple(map(_flat, predicted)),
     )
     if tapes.hold(done, updated[5]):
         return updated, predicted
     rng.bit_generator.state = before
     return None
+
+
+def _flat(rows: Array) -> Array:
+    """Rows (T, ...) as (T, .), in the same memory."""
+    return rows.reshape(len(rows), math.prod(rows.shape[1:]))

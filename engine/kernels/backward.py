@@ -33,13 +33,14 @@ def reduce(L, r, out):
         out[i] = s / L[i, i] if L[i, i] > 0.0 else s
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def exp_negative(x, out):
     """Out (M,) = exp(x) for x <= 0, zero below NEGLIGIBLE, to a relative 1e-11.
 
     The weights of all particles for every trajectory and time are what the backward pass spends
-    its time on; without branches and calls the compiler uses SIMD, twice as fast as the library's
-    exp. With y = x / 64 + 0.3 in (-0.3, 0.3], exp(x) = (exp(y) exp(-0.3))^64.
+    its time on. Without branches and calls the compiler uses SIMD, and by "contract" adds products without
+    rounding them before: three times as fast as the library's exp. With y = x / 64 + 0.3 in (-0.3, 0.3],
+    exp(x) = (exp(y) exp(-0.3))^64.
     """
     for i in range(x.shape[0]):
         y = max(x[i], NEGLIGIBLE) / 64.0 + 0.3
@@ -57,34 +58,52 @@ def exp_negative(x, out):
 
 
 @njit(cache=True, error_model="numpy")
+def largest(x):
+    """Of x (M,), what is no number left out; four at a time, for each comparison waits for the one before."""
+    a, b, c, d = -np.inf, -np.inf, -np.inf, -np.inf
+    whole = x.shape[0] // 4 * 4
+    for i in range(0, whole, 4):
+        a = x[i] if x[i] > a else a
+        b = x[i + 1] if x[i + 1] > b else b
+        c = x[i + 2] if x[i + 2] > c else c
+        d = x[i + 3] if x[i + 3] > d else d
+    for i in range(whole, x.shape[0]):
+        a = x[i] if x[i] > a else a
+    return max(max(a, b), max(c, d))
+
+
+@njit(cache=True, error_model="numpy")
 def pick(log_w, w, u):
     """Index drawn from exp(log_w) (M,) with one uniform u; -1 when all are zero, or one is infinite.
 
-    log_w is shifted and w is scratch.
+    log_w and w are scratch. The place in the sum is found among sums of eight, then in one of them, without
+    a branch that the processor would have to guess.
     """
     M = log_w.shape[0]
-    top = -np.inf
-    for i in range(M):
-        if log_w[i] > top:
-            top = log_w[i]
+    top = largest(log_w)
     if not math.isfinite(top):
         return -1
     for i in range(M):
         log_w[i] -= top
     exp_negative(log_w, w)
-    total = 0.0
-    for i in range(M):
+    blocks, total, sums = M // 8, 0.0, log_w
+    for b in range(blocks):
+        v = w[8 * b : 8 * b + 8]
+        total += ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7]))
+        sums[b] = total
+    for i in range(8 * blocks, M):
         total += w[i]
-        w[i] = total
-    goal = u * total
-    low, high = 0, M - 1
-    while low < high:
-        middle = (low + high) // 2
-        if w[middle] > goal:
-            high = middle
-        else:
-            low = middle + 1
-    return low
+    goal, before = u * total, 0
+    for b in range(blocks):
+        before += sums[b] <= goal
+    s, i = sums[before - 1] if before > 0 else 0.0, 8 * before
+    for k in range(8 * before, min(8 * before + 8, M)):
+        s += w[k]
+        i += s <= goal
+    i = min(i, M - 1)
+    while not w[i] > 0.0:  # rounding must not lead to a weight of zero; the greatest is 1
+        i = i - 1 if i > 0 else M - 1
+    return i
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,20 +142,46 @@ def smooth_covariance(K, Z_plus, P_next, na, P_out, M_out):
 
 
 @njit(cache=True, error_model="numpy")
-def common_log_weights(log_w, m, L, x, v, out):
-    """Log w_i - 1/2 |v - m_i|^2 for reduced means m (nx, M) and one state x (nx,), reduced v (nx,)."""
+def common_log_weights(log_w, m, L, v, out):
+    """Log w_i - 1/2 |v - m_i|^2 for reduced means m (nx, M) and one reduced state v (nx,).
+
+    In directions with noise; two at a time, for it is memory that takes the time.
+    """
     nx, M = m.shape
     for i in range(M):
         out[i] = log_w[i]
-    for k in range(nx):
-        if L[k, k] > 0.0:
-            vk = v[k]
+    k = 0
+    while k < nx:
+        if k + 1 < nx and L[k, k] > 0.0 and L[k + 1, k + 1] > 0.0:
+            here, after = v[k], v[k + 1]
             for i in range(M):
-                d = vk - m[k, i]
-                out[i] -= 0.5 * d * d
+                d, e = here - m[k, i], after - m[k + 1, i]
+                out[i] -= 0.5 * (d * d + e * e)
+            k += 2
         else:
+            if L[k, k] > 0.0:
+                for i in range(M):
+                    d = v[k] - m[k, i]
+                    out[i] -= 0.5 * d * d
+            k += 1
+
+
+@njit(cache=True, error_model="numpy")
+def without_noise(L):
+    """Whether L (n, n) has a direction without noise."""
+    for k in range(L.shape[0]):  # noqa: SIM110 - Numba knows no any()
+        if not L[k, k] > 0.0:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def rule_out(m, L, x, v, out):
+    """Out (M,) = -inf where a direction without noise does not lead from m_i to x (nx,), reduced v (nx,)."""
+    for k in range(m.shape[0]):
+        if not L[k, k] > 0.0:
             tolerance = 2.0 * ROUNDING * abs(x[k]) + rounding(L, v, k)
-            for i in range(M):
+            for i in range(m.shape[1]):
                 if abs(v[k] - m[k, i]) > tolerance:
                     out[i] = -np.inf
 
@@ -207,6 +252,7 @@ def backward_simulation(a, z, Z, log_w, mu, L, V, Z_plus, ancestors, first, unif
     r = np.empty(nx)
     v = np.empty(nx)
     for t in range(T - 2, -1, -1):
+        exact = BL == 1 and without_noise(L[t, 0])
         if BL == 1:
             for i in range(M):
                 reduce(L[t, 0], mu[t, i], v)
@@ -230,7 +276,9 @@ def backward_simulation(a, z, Z, log_w, mu, L, V, Z_plus, ancestors, first, unif
                 x[na + k] = z_draw[t + 1, j, k]
             if BL == 1:
                 reduce(L[t, 0], x, v)
-                common_log_weights(log_w[t], m, L[t, 0], x, v, lw)
+                common_log_weights(log_w[t], m, L[t, 0], v, lw)
+                if exact:
+                    rule_out(m, L[t, 0], x, v, lw)
             else:
                 particle_log_weights(log_w[t], mu[t], L[t], constants, x, r, v, lw)
             i = pick(lw, scratch, uniforms[t, j])

@@ -10,6 +10,8 @@ from engine.kernels.backward import (
     common_log_weights,
     particle_log_weights,
     reduce,
+    rule_out,
+    without_noise,
 )
 from engine.kernels.gaussian import log_normalizer
 
@@ -27,13 +29,16 @@ def log_pairs(x, mu, L):
     v = np.empty(n)
     if L.shape[0] == 1:
         m = np.empty((n, M))
+        exact = without_noise(L[0])
         for i in range(M):
             reduce(L[0], mu[i], v)
             for k in range(n):
                 m[k, i] = v[k]
         for j in range(N):
             reduce(L[0], x[j], v)
-            common_log_weights(even, m, L[0], x[j], v, out[j])
+            common_log_weights(even, m, L[0], v, out[j])
+            if exact:
+                rule_out(m, L[0], x[j], v, out[j])
         return out
     r = np.empty(n)
     constants = np.empty(M)

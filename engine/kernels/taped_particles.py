@@ -27,7 +27,7 @@ def filter_particles_taped(
     (1, nx, nx). ``state``: a, z, Z, w, log w and the effective sample size after y_1. ``options``: the share of
     particles at which they are resampled, the number of the scheme, whether draws are adapted, their share from
     the prediction, their inflation. ``updated`` and ``predicted`` are filled: the fields of the filter's rows,
-    (T, ...) and (T - 1, ...). Random numbers are drawn from ``rng`` in the order of calls.
+    each flat, (T, .) and (T - 1, .). Random numbers are drawn from ``rng`` in the order of calls.
     """
     tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
     u, u_step, t, dt, begins = record
@@ -50,10 +50,10 @@ def filter_particles_taped(
             if any_impossible(Q):
                 return False
             mu, L, V, Z_plus = predict(f, A, Q, z, Z)
-        _keep(predicted[0][k - 1], mu)
-        _keep(predicted[1][k - 1], L)
-        _keep(predicted[2][k - 1], V)
-        _keep(predicted[3][k - 1], Z_plus)
+        _keep(predicted[0], k - 1, mu)
+        _keep(predicted[1], k - 1, L)
+        _keep(predicted[2], k - 1, V)
+        _keep(predicted[3], k - 1, Z_plus)
         ancestors = own
         if ess <= threshold * M:
             ancestors, log_w = _resampled(w, rng.random(M), mu, scheme), even
@@ -82,23 +82,26 @@ def filter_particles_taped(
         z, Z, log_w, w, log_sum, ess = advance(
             mu, L, ancestors, a, log_q, blind, h, C, R, y[k], log_w
         )
-        _keep(updated[0][k], a)
-        _keep(updated[1][k], z)
-        _keep(updated[2][k], Z)
-        _keep(updated[3][k], w)
-        _keep(updated[4][k], log_w)
-        updated[5][k], updated[6][k] = log_sum, ess
-        _keep(updated[7][k], ancestors)
+        _keep(updated[0], k, a)
+        _keep(updated[1], k, z)
+        _keep(updated[2], k, Z)
+        _keep(updated[3], k, w)
+        _keep(updated[4], k, log_w)
+        updated[5][k, 0], updated[6][k, 0] = log_sum, ess
+        _keep(updated[7], k, ancestors)
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def _keep(into, found):
-    """What was found for all rows, or one for all; an assignment of slices takes seconds to compile."""
-    to, of = into.ravel(), found.ravel()
-    for start in range(0, to.size, max(of.size, 1)):
+def _keep(rows, k, found):
+    """Row k of (T, .): what was found for all, or one for all.
+
+    An assignment of slices takes seconds to compile.
+    """
+    of, size = found.ravel(), rows.shape[1]
+    for start in range(0, size, max(of.size, 1)):
         for i in range(of.size):
-            to[start + i] = of[i]
+            rows[k, start + i] = of[i]
 
 
 @njit(cache=True, error_model="numpy")
