@@ -30,7 +30,7 @@ import numpy as np
 from engine.errors import ModelError
 from engine.kernels.local_linearization import beside, difference_quotients, step_of
 from engine.statespace.model import Array, MixedModel
-from engine.statespace.reads import loops, reads
+from engine.statespace.reads import fields_read, loops, reads
 from engine.statespace.recorded import Recorded
 from engine.statespace.recorded.stand_ins import Within, traceable
 from engine.statespace.rows import frozen, is_rows
@@ -40,7 +40,7 @@ from engine.statespace.traced_step import TracedStep
 Drift: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any]]
 Matrix: TypeAlias = Callable[[Array, Any, Any, Any], Any]
 
-TIME = 2  # position of t among the arguments of all of them, after a and u
+TIME, THETA = 2, 3  # positions of t and theta among the arguments of all of them, after a and u
 
 
 def continuous(
@@ -159,13 +159,19 @@ class _OfThetaAlone(_Intensity):
         return Qc.copy()
 
     def _found(self, a: Array, u: Any, t: Any, theta: Any) -> Array:
-        many = [value for value in theta if is_rows(value)]
+        many = [name for name, value in zip(theta._fields, theta, strict=True) if is_rows(value)]
         if not many:
             return super().__call__(a, u, t, theta)
-        _, first, back = np.unique(np.array(many), axis=1, return_index=True, return_inverse=True)
+        names = fields_read(self.diffusion, THETA)
+        read = [name for name in many if names is None or name in names]
+        if not read:  # a parameter of the drift may be another in every row
+            own = theta._replace(**{name: float(getattr(theta, name)[0]) for name in many})
+            return super().__call__(a[:1], u, t, own)
+        columns = np.array([getattr(theta, name) for name in read])
+        _, first, back = np.unique(columns, axis=1, return_index=True, return_inverse=True)
         each = []
         for k in first:
-            own = theta._make(float(v[k]) if is_rows(v) else v for v in theta)
+            own = theta._replace(**{name: float(getattr(theta, name)[k]) for name in many})
             each.append(super().__call__(a[k : k + 1], u, t, own)[0])
         return np.array(each)[back.ravel()]
 
@@ -218,6 +224,11 @@ class _Discretized:
     def reads_argument(self, position: int) -> bool:
         """Of a, u and t what any of its functions reads; the others it reads itself."""
         return position > TIME or any(reads(f, position) for f in self._written)
+
+    def reads_fields(self, position: int) -> frozenset[str] | None:
+        """What any of its functions takes of the record of parameters, None where one may take all."""
+        each = [fields_read(f, position - 1) for f in self._written]  # they have no dt
+        return None if None in each else frozenset[str]().union(*(x for x in each if x is not None))
 
     def has_loops(self) -> bool:
         """Whether any of its functions has one."""

@@ -43,7 +43,7 @@ from engine.errors import EngineError, ModelError
 from engine.statespace.affine import Affine
 from engine.statespace.compare import Result, copies, differ, joined, sizes_of
 from engine.statespace.plan import Plan, plan_of
-from engine.statespace.reads import loops, reads
+from engine.statespace.reads import fields_read, loops, reads
 from engine.statespace.recorded import NotByRowsError, by_rows
 from engine.statespace.recorded.arrays import TracedArray
 from engine.statespace.recorded.program import traced_results
@@ -115,6 +115,7 @@ class ModelFunction:
         self._plan = Plan()
         # where it has no nonlinear state and does not read the times, None where it has or does
         self._reads_u, self._reads_t = reads(function, INPUT), reads(function, TIME)
+        self._fields = fields_read(function, TIME + 2 if name == "dynamics" else TIME + 1)
         self._affine = None if self._reads_t else Affine(self._one)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
@@ -197,7 +198,8 @@ class ModelFunction:
     def _plan_of(self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Any) -> Plan:
         """How rows of several parameter vectors are split, found once for all time steps."""
         if self._plan.theta is not theta or len(a) != self._plan.M:
-            self._plan = plan_of(Rows(a, u, t, dt, theta), kind)
+            read = self._read_of(kind, theta)
+            self._plan = plan_of(Rows(a, u, t, dt, theta), kind, read)
         return self._plan
 
     def _part_by_part(self, plan: Plan, a: Array, u: Array, t: float, dt: float) -> Result:
@@ -385,6 +387,13 @@ class ModelFunction:
             return kind
         return kind._replace(many=self._affine.takes_long(rows, kind))
 
+    def _read_of(self, kind: Kind, theta: Any) -> Kind:
+        """Of what differs, what the function reads: rows that differ in other things are particles."""
+        fields = kind.fields
+        if self._fields is not None:
+            fields = tuple(i for i in fields if theta._fields[i] in self._fields)
+        return kind._replace(u=kind.u and self._reads_u, t=kind.t and self._reads_t, fields=fields)
+
     def _fail(self, error: Exception, rows: Rows) -> NoReturn:
         """Raise a ModelError with the function's name, time and shapes, once."""
         if isinstance(error, MemoryError) or getattr(error, "placed", False):
@@ -420,9 +429,7 @@ class ModelFunction:
         parts: list[tuple[Indices, Result]] = []
         lost: ModelError | None = None
         known_next = self._theta, self._kind, self._verdict, self._M  # the calls below are others
-        # rows that differ in what is not read are particles
-        differing = split._replace(u=split.u and self._reads_u, t=split.t and self._reads_t)
-        for at in rows.groups(differing):
+        for at in rows.groups(self._read_of(split, rows.theta)):
             try:
                 parts.append((at, copies(self(*rows.alone(split, at, kind)))))
             except ModelError as error:

@@ -60,10 +60,10 @@ def _nothing(like: Result, n: int) -> Result:
     )
 
 
-def plan_of(rows: Rows, kind: Kind) -> Plan:
-    """The plan for rows that differ in parameters only."""
+def plan_of(rows: Rows, kind: Kind, read: Kind) -> Plan:
+    """The plan for rows that differ in parameters only; rows alike in what is ``read`` are one part."""
     parts: list[tuple[slice | Indices, Any]] = []
-    groups = sorted(rows.groups(kind), key=lambda at: at[0])
+    groups = sorted(rows.groups(read), key=lambda at: at[0])
     for at in groups:
         plain = [
             value if i not in kind.fields else value[at[0]] for i, value in enumerate(rows.theta)

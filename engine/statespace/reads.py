@@ -1,14 +1,16 @@
-"""Whether a function reads one of its arguments at all, or has a loop, told from its byte code.
+"""Whether a function reads one of its arguments at all, which parameters, or has a loop; by its byte code.
 
 What a function never loads it cannot depend on: this is a proof, where calls can only give examples. Where
 the code does not tell, the argument counts as read. Functions of the engine's own are told which parameters
-they ignore, and an object that is called may tell by ``reads_argument(position)`` what it reads.
+they ignore, and an object that is called may tell by ``reads_argument(position)`` and
+``reads_fields(position)`` what it reads.
 """
 
 from __future__ import annotations
 
 import dis
 from functools import lru_cache
+from itertools import pairwise
 from types import CodeType, FunctionType, MethodType
 from typing import Any
 
@@ -16,6 +18,9 @@ from typing import Any
 SEES_ALL = frozenset(
     {"locals", "vars", "eval", "exec", "dir", "_getframe", "currentframe", "stack"}
 )
+OF_ALL = frozenset(
+    {"count", "index"}
+)  # attributes of a tuple that look at all of it, as _asdict does
 CODES = 1000  # of functions, whose answers are kept: extensions of a model share most of theirs
 
 
@@ -26,27 +31,64 @@ def reads(function: Any, position: int) -> bool:
         return bool(told(position))
     if isinstance(function, MethodType):
         return reads(function.__func__, position + 1)
+    code, name = _argument(function, position)
+    return code is None or name in _named(code)
+
+
+def fields_read(function: Any, position: int) -> frozenset[str] | None:
+    """Names, as ``q`` in ``theta.q``, that ``function`` takes of its positional argument; None: maybe all.
+
+    It may depend on nothing else of that argument, if it is a record.
+    """
+    told = getattr(function, "reads_fields", None)
+    if told is not None:
+        names: frozenset[str] | None = told(position)
+        return names
+    if isinstance(function, MethodType):
+        return fields_read(function.__func__, position + 1)
+    code, name = _argument(function, position)
+    return None if code is None else _taken(code, name)
+
+
+def _argument(function: Any, position: int) -> tuple[CodeType | None, str]:
+    """The code and the argument's name in it; no code where it cannot tell."""
     if not isinstance(function, FunctionType) or hasattr(function, "__wrapped__"):
-        return True
+        return None, ""
     code = function.__code__
     if position >= code.co_argcount or SEES_ALL & {*code.co_names, *code.co_freevars}:
-        return True
+        return None, ""
     name = code.co_varnames[position]
-    if name in code.co_cellvars:  # an inner function has it
-        return True
-    return name in _named(code)
+    return (None, "") if name in code.co_cellvars else (code, name)  # an inner function has it
 
 
 @lru_cache(CODES)
 def _named(code: CodeType) -> frozenset[str]:
     """Local names that some instruction loads, stores or deletes; what only stores counts as reading."""
-    steps = (step for step in dis.get_instructions(code) if "FAST" in step.opname)
-    # some instructions load two names
-    return frozenset(
-        name
-        for step in steps
-        for name in (step.argval if isinstance(step.argval, tuple) else (step.argval,))
-    )
+    return frozenset(name for step in dis.get_instructions(code) for name in _locals(step))
+
+
+@lru_cache(CODES)
+def _taken(code: CodeType, name: str) -> frozenset[str] | None:
+    """Attributes taken of a local name; None where anything else is done with it."""
+    steps = list(dis.get_instructions(code))
+    found = set()
+    for step, after in pairwise([*steps, steps[-1]]):
+        names = _locals(step)
+        if name in names:
+            if not (step.opname.startswith("LOAD_FAST") and names.index(name) == len(names) - 1):
+                return None
+            field = str(after.argval)
+            if after.opname != "LOAD_ATTR" or field in OF_ALL or field.startswith("_"):
+                return None
+            found.add(field)
+    return frozenset(found)
+
+
+def _locals(step: dis.Instruction) -> tuple[str, ...]:
+    """The local names of an instruction; some load two."""
+    if "FAST" not in step.opname:
+        return ()
+    return step.argval if isinstance(step.argval, tuple) else (step.argval,)
 
 
 def loops(function: Any) -> bool:
