@@ -46,6 +46,11 @@ class FilterSteps:
         means, covs = self._first
         return means.copy(), covs.copy()
 
+    def start_beside(self) -> tuple[Array, Array]:
+        """The same with the copies on the last axis: (nx, K) and (nx, nx, K)."""
+        means, covs = self._first
+        return means.T.copy(), np.moveaxis(covs, 0, 2).copy()
+
     @cached_property
     def _first(self) -> tuple[Array, Array]:
         starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]

@@ -21,7 +21,7 @@ from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.filters.strata import StrataSteps, filter_in_strata, path_in_strata
 from engine.filters.taped import filter_by_tape
 from engine.kernels.gaussian import psd_cholesky_many
-from engine.kernels.moments import keep_reading, observe, predict, sigma_points, slopes
+from engine.kernels.moments import keep_reading, observe, points_of, predict, room_for, slopes
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown
@@ -110,19 +110,18 @@ def run_filter(run: FilterSteps, visited: tuple[Array, Array] | None = None) -> 
         return taped
     T, K, ny = len(series), run.thetas.K, model.ny
     innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
-    m, P = run.start()
-    a, z, V, offsets = sigma_points(m, P, model.na)
-    rows = a.reshape(K * a.shape[1], model.na)  # the kernels overwrite the points in place
+    m, P = run.start_beside()
+    rows, beside = points_of(m, P, model.na)  # overwritten in place
+    room, points = room_for(K, model.na, model.nx, ny), len(rows) // K
     for t in range(T):
         if visited is not None:
-            visited[0][t] = a[0]
-        observe(
-            t, *run.observation(t, rows), a, z, V, offsets, m, P, series.y, innovations, S, terms
-        )
+            visited[0][t] = rows[:points]
+        seen = run.observation(t, rows)
+        observe(room, (False, False), t, *seen, rows, beside, m, P, series.y, innovations, S, terms)
         if visited is not None:
-            visited[1][t] = a[0]
+            visited[1][t] = rows[:points]
         if t < T - 1:
-            predict(*run.transition(t, rows), a, z, V, offsets, m, P)
+            predict(room, (False, False), *run.transition(t, rows), rows, beside, m, P)
     return MomentFiltered(innovations, S, usable(terms, innovations, S, series))
 
 
@@ -206,22 +205,23 @@ def _kept_by_calls(
     predicted, P_predicted, filtered, P_filtered = moments
     innovations, S = np.empty((T, 1, model.ny)), np.empty((T, 1, model.ny, model.ny))
     terms = np.zeros((T, 1))
-    m, P = run.start()
-    a, z, V, offsets = sigma_points(m, P, model.na)
-    rows = a.reshape(a.shape[1], model.na)
+    m, P = run.start_beside()
+    rows, beside = points_of(m, P, model.na)
+    room = room_for(1, model.na, model.nx, model.ny)
     for t in range(T):
-        predicted[t], P_predicted[t] = m[0], P[0]
+        predicted[t], P_predicted[t] = m[:, 0], P[:, :, 0]
+        seen = run.observation(t, rows)
         cross = observe(
-            t, *run.observation(t, rows), a, z, V, offsets, m, P, series.y, innovations, S, terms
+            room, (False, False), t, *seen, rows, beside, m, P, series.y, innovations, S, terms
         )
-        filtered[t], P_filtered[t] = m[0], P[0]
-        keep_reading(t, cross[0], S[t, 0], series.y[t], tuple(moments), tuple(gains))
+        filtered[t], P_filtered[t] = m[:, 0], P[:, :, 0]
+        keep_reading(t, cross[:, :, 0].copy(), S[t, 0], series.y[t], tuple(moments), tuple(gains))
         if not (np.isfinite(m).all() and np.isfinite(terms[t, 0])):
             terms[t] = np.nan
             break
         if t < T - 1:
-            cross = predict(*run.transition(t, rows), a, z, V, offsets, m, P)
-            gains[2][t] = slopes(cross[0], P_filtered[t])
+            cross = predict(room, (False, False), *run.transition(t, rows), rows, beside, m, P)
+            gains[2][t] = slopes(cross[:, :, 0].copy(), P_filtered[t])
     return innovations, S, terms
 
 

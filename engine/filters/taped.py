@@ -11,7 +11,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps
-from engine.kernels.moments import sigma_points
+from engine.kernels.moments import points_of
 from engine.kernels.taped import filter_taped
 from engine.statespace.model import Array
 from engine.statespace.on_tape import SHORTEST, OnTape, on_tape
@@ -68,20 +68,20 @@ def filter_by_tape(
     T, K, nx, ny, na = len(series), run.thetas.K, model.nx, model.ny, model.na
     if T < SHORTEST:
         return None
-    m, P = run.start()
-    a, z, V, offsets = sigma_points(m, P, na)
-    tapes = tapes_of(run, a.reshape(K * a.shape[1], na))
+    m, P = run.start_beside()
+    rows, beside = points_of(m, P, na)
+    tapes = tapes_of(run, rows)
     if tapes is None:
         return None
     found = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
-    nowhere = np.empty((0, a.shape[1], na))
+    nowhere = np.empty((0, 2 * na + 1, na))
     if not moments:
         moments = [np.empty((0, nx)), np.empty((0, nx, nx))] * 2
         gains = np.empty((0, ny, nx)), np.empty((0, nx, ny)), np.empty((0, nx, nx))
     done = filter_taped(
         *tapes.arguments,
-        run.start(),
-        (a, z, V, offsets, m, P),
+        run.start_beside(),
+        (rows, beside, m, P),
         series.y,
         found,
         (nowhere, nowhere) if visited is None else visited,

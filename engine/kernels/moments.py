@@ -4,6 +4,12 @@ K copies of the filter run side by side, each with its own theta. A density N(m,
 represented by S = 2 na + 1 points of a, the centre and +- ``spread`` columns of the Cholesky factor of
 P_aa, with z given a linear Gaussian at each of them. Expectations over a are sums with the weights
 of that rule, which is exact to third order (to fifth for na = 1); over z they are exact.
+
+Copies lie side by side in memory, on the last axis, so that the compiler works on several at once: of m
+(nx, K), P (nx, nx, K), z (S, nz, K), V (nz, nz, K), offsets (na, nx, K). What models give and take has a row
+for each point, ``row = k S + s``. :func:`sigma_points`, :func:`transform` and :func:`gaussian_update` take and
+give the copies on the first axis. What makes a step is put into its place by Numba (inline): to hand over
+so many arrays takes as long as what is done with them.
 """
 
 from __future__ import annotations
@@ -15,14 +21,13 @@ from numba import njit
 
 from engine.kernels.gaussian import (
     MEASURED,
-    has_no_root,
-    log_normalizer,
+    NEGATIVE,
+    PIVOT,
+    log_normal_each,
     psd_cholesky_into,
     solve_lower_transposed,
     whiten,
 )
-
-FEW = 6  # states in z up to which a sum over all of them is quicker than one that leaves zeros out
 
 
 @njit(cache=True, error_model="numpy")
@@ -33,54 +38,108 @@ def spread_of(na):
 
 
 @njit(cache=True, error_model="numpy")
+def copies_last(x):
+    """(K, n, m) as (n, m, K)."""
+    return x.transpose(1, 2, 0).copy()
+
+
+@njit(cache=True, error_model="numpy")
+def copies_first(x):
+    """(n, m, K) as (K, n, m)."""
+    return x.transpose(2, 0, 1).copy()
+
+
+@njit(cache=True, error_model="numpy")
 def sigma_points(m, P, na):
     """a (K, S, na) and E(z | a) (K, S, nz) at the points; Var(z | a) (K, nz, nz); offsets (K, na, nx).
 
     ``offsets[k, i]`` is the change of the whole mean x that goes with point 1 + 2 i.
     """
-    K, nx = m.shape
-    nz = nx - na
-    S = 2 * na + 1
-    a = np.empty((K, S, na))
-    z = np.empty((K, S, nz))
-    V = np.empty((K, nz, nz))
-    offsets = np.empty((K, na, nx))
-    sigma_points_into(m, P, a, z, V, offsets, np.empty((na, na)), np.empty((na, nz)))
-    return a, z, V, offsets
+    K, S = m.shape[0], 2 * na + 1
+    rows, beside = points_of(m.T.copy(), copies_last(P), na)
+    z, V, offsets = beside
+    return rows.reshape(K, S, na), copies_first(z), copies_first(V), copies_first(offsets)
 
 
 @njit(cache=True, error_model="numpy")
-def sigma_points_into(m, P, a, z, V, offsets, L, W):
-    """:func:`sigma_points` into what is there; L (na, na) and W (na, nz) are overwritten."""
-    K, S, na = a.shape
-    nz = z.shape[2]
+def points_of(m, P, na):
+    """Rows a (K S, na) of the points of m and P, and z, V and offsets."""
+    nx, K = m.shape
+    nz, S = nx - na, 2 * na + 1
+    rows = np.empty((K * S, na))
+    beside = np.empty((S, nz, K)), np.empty((nz, nz, K)), np.empty((na, nx, K))
+    points_into(m, P, rows, beside, room_for_points(na, nz, K))
+    return rows, beside
+
+
+@njit(cache=True, error_model="numpy")
+def room_for_points(na, nz, K):
+    """What :func:`points_into` overwrites."""
+    return np.empty((na, na, K)), np.empty((na, nz, K))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def points_into(m, P, rows, beside, room):
+    """:func:`points_of` into what is there."""
+    z, V, offsets = beside
+    L, W = room
+    S, nz, K = z.shape
+    na = L.shape[0]
     spread, _ = spread_of(na)
-    for k in range(K):
-        psd_cholesky_into(P[k], L)
+    _roots_into(P, L)
+    for i in range(na):
         for c in range(nz):
+            for k in range(K):
+                W[i, c, k] = P[i, na + c, k]
+            for j in range(i):
+                for k in range(K):
+                    W[i, c, k] -= L[i, j, k] * W[j, c, k]
+            for k in range(K):
+                W[i, c, k] = W[i, c, k] / L[i, i, k] if L[i, i, k] > 0.0 else 0.0
+                offsets[i, na + c, k] = spread * W[i, c, k]
+        for j in range(na):
+            for k in range(K):
+                offsets[i, j, k] = spread * L[j, i, k]
+    for r in range(nz):
+        for c in range(r + 1):
+            for k in range(K):
+                V[r, c, k] = P[na + r, na + c, k]
             for i in range(na):
-                s = P[k, i, na + c]
-                for j in range(i):
-                    s -= L[i, j] * W[j, c]
-                W[i, c] = s / L[i, i] if L[i, i] > 0.0 else 0.0
-        for r in range(nz):
-            for c in range(nz):
-                s = P[k, na + r, na + c]
-                for i in range(na):
-                    s -= W[i, r] * W[i, c]
-                V[k, r, c] = s
-        for i in range(na):
-            for j in range(na):
-                offsets[k, i, j] = spread * L[j, i]
-            for c in range(nz):
-                offsets[k, i, na + c] = spread * W[i, c]
-        for s_ in range(S):
-            i = (s_ - 1) // 2
-            sign = 0.0 if s_ == 0 else (1.0 if s_ % 2 == 1 else -1.0)
-            for j in range(na):
-                a[k, s_, j] = m[k, j] + (sign * offsets[k, i, j] if s_ > 0 else 0.0)
-            for c in range(nz):
-                z[k, s_, c] = m[k, na + c] + (sign * offsets[k, i, na + c] if s_ > 0 else 0.0)
+                for k in range(K):
+                    V[r, c, k] -= W[i, r, k] * W[i, c, k]
+            for k in range(K):
+                V[c, r, k] = V[r, c, k]
+    for s in range(S):
+        i, sign = max(s - 1, 0) // 2, 0.0 if s == 0 else (1.0 if s % 2 == 1 else -1.0)
+        for j in range(na):
+            for k in range(K):
+                rows[k * S + s, j] = m[j, k] + sign * offsets[i, j, k] if s > 0 else m[j, k]
+        for c in range(nz):
+            for k in range(K):
+                z[s, c, k] = m[na + c, k] + sign * offsets[i, na + c, k] if s > 0 else m[na + c, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _roots_into(S, L):
+    """``psd_cholesky_into`` for each S (n', n', K) and L (n, n, K)."""
+    n, _, K = L.shape
+    for j in range(n):
+        for k in range(K):
+            L[j, j, k] = S[j, j, k]
+        for q in range(j):
+            for k in range(K):
+                L[q, j, k] = 0.0
+                L[j, j, k] -= L[j, q, k] * L[j, q, k]
+        for k in range(K):
+            L[j, j, k] = math.sqrt(L[j, j, k]) if L[j, j, k] > PIVOT * S[j, j, k] else 0.0
+        for i in range(j + 1, n):
+            for k in range(K):
+                L[i, j, k] = S[i, j, k]
+            for q in range(j):
+                for k in range(K):
+                    L[i, j, k] -= L[i, q, k] * L[j, q, k]
+            for k in range(K):
+                L[i, j, k] = L[i, j, k] / L[j, j, k] if L[j, j, k] > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,246 +150,323 @@ def transform(f, A, Q, z, V, offsets, na):
     NaN where Q is no covariance: such a theta is lost.
     """
     K, S, nz = z.shape
-    n = f.shape[1]
-    mean = np.empty((K, n))
-    cov = np.empty((K, n, n))
-    cross = np.empty((K, n, na + nz))
-    own = np.empty((S, n)), np.empty((n, nz)), np.empty((n, n)), np.empty((n, n))
-    transform_into(f, A, Q, z, V, offsets, mean, cov, cross, own)
-    return mean, cov, cross
+    n, nx = f.shape[1], na + nz
+    beside = copies_last(z), copies_last(V), copies_last(offsets)
+    mean, cov, cross = np.empty((n, K)), np.empty((n, n, K)), np.empty((n, nx, K))
+    room = room_for_transform(n, nz, S, K)
+    transform_into(f, A, Q, beside, mean, cov, cross, room, (False, False))
+    return mean.T.copy(), copies_first(cov), copies_first(cross)
 
 
 @njit(cache=True, error_model="numpy")
-def transform_into(f, A, Q, z, V, offsets, mean, cov, cross, own):
-    """:func:`transform` into what is there; ``own`` (S, n), (n, nz) and (n, n) twice are overwritten.
+def room_for_transform(n, nz, S, K):
+    """What :func:`transform_into` overwrites: values; A, Q, A V and Q + A V A'; which are not zero, or lost."""
+    return (
+        np.empty((S, n, K)),
+        (np.empty((n, nz, K)), np.empty((n, n, K)), np.empty((n, nz, K)), np.empty((n, n, K))),
+        (np.empty((n, nz), np.bool_), np.empty(K, np.bool_)),
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def transform_into(f, A, Q, beside, mean, cov, cross, room, known):
+    """:func:`transform` of z, V, offsets (``beside``) into mean (n, K), cov (n, n, K), cross (n, nx, K).
 
     Points of one filter seldom differ in their matrices, whose products are found once where they do not.
+    ``known``: whether A, and whether Q, are in the ``room`` already, as where no state and no time moves them.
     """
-    K, S, nz = z.shape
-    n = f.shape[1]
-    na, nx = offsets.shape[1:]
+    z, V, offsets = beside
+    value, (A_s, Q_s, AV, each), (some, lost) = room
+    S, n, K = value.shape
+    na, nx, _ = offsets.shape
     _, outer = spread_of(na)
-    value, AV, each, root = own
-    common = A.shape[0] == 1 and Q.shape[0] == 1
-    A_each, Q_each = int(A.shape[0] > 1), int(Q.shape[0] > 1)
-    mean[:], cov[:], cross[:] = 0.0, 0.0, 0.0
-    lost = Q.shape[0] == 1 and has_no_root(Q[0], root)
-    for k in range(K):
-        for s in range(S):
-            row = k * S + s
-            weight = outer if s > 0 else 1.0 - 2.0 * na * outer
-            own_A, own_Q = row * A_each, row * Q_each
-            for i in range(n):
-                v = f[row, i]
-                for c in range(nz):
-                    v += A[own_A, i, c] * z[k, s, c]
-                value[s, i] = v
-                mean[k, i] += weight * v
-            new_Q = s == 0 or (Q_each and not _as_before(Q, row))
-            new_A = s == 0 or (A_each and not _as_before(A, row))
-            if new_Q and Q_each:
-                lost = has_no_root(Q[row], root)
-            if lost:
-                for i in range(n):
-                    value[s, i], mean[k, i] = np.nan, np.nan
-            if s > 0 and common:
-                continue  # common matrices: their share was added with weight 1 at s = 0
-            if common:
-                weight = 1.0
-            if new_A and nz > FEW:
-                _product_into(A[own_A], V[k], AV)
-            elif new_A:
-                for i in range(n):
-                    for c in range(nz):
-                        v = 0.0
-                        for d in range(nz):
-                            v += A[own_A, i, d] * V[k, d, c]
-                        AV[i, c] = v
-            if (new_A or new_Q) and nz > FEW:
-                _and_back_into(AV, A[own_A], Q[own_Q], each)
-            elif new_A or new_Q:
-                for i in range(n):
-                    for j in range(n):
-                        v = Q[own_Q, i, j]
-                        for c in range(nz):
-                            v += AV[i, c] * A[own_A, j, c]
-                        each[i, j] = v
-            for i in range(n):
-                for c in range(nz):
-                    cross[k, i, na + c] += weight * AV[i, c]
-                for j in range(n):
-                    cov[k, i, j] += weight * each[i, j]
-        for s in range(S):
-            weight = outer if s > 0 else 1.0 - 2.0 * na * outer
-            for i in range(n):
-                for j in range(n):
-                    cov[k, i, j] += weight * (value[s, i] - mean[k, i]) * (value[s, j] - mean[k, j])
-        for i in range(na):
-            for r in range(n):
-                slope = outer * (value[1 + 2 * i, r] - value[2 + 2 * i, r])
-                for c in range(nx):
-                    cross[k, r, c] += slope * offsets[k, i, c]
+    share = 0.0  # of the points with matrices as those last found
+    apart = False
+    for s in range(S):
+        weight = outer if s > 0 else 1.0 - 2.0 * na * outer
+        new_A = not known[0] and (s == 0 or _differ(A, S, s))
+        new_Q = not known[1] and (s == 0 or _differ(Q, S, s))
+        if s > 0 and (new_A or new_Q):
+            _add_matrices(share, AV, each, cov, cross, not apart)
+            apart, share = True, 0.0
+        share += weight
+        if new_A:
+            _at_point(A, S, s, A_s)
+            _not_zero(A_s, some)
+        if new_Q:
+            _at_point(Q, S, s, Q_s)
+            _impossible(Q_s, each, lost)
+        if s == 0 or new_A or new_Q:
+            _products(A_s, Q_s, V, some, AV, each)
+        _values(f, z, A_s, some, lost, s, value[s])
+        for i in range(n):
+            if s == 0:
+                for k in range(K):
+                    mean[i, k] = weight * value[s, i, k]
+            else:
+                for k in range(K):
+                    mean[i, k] += weight * value[s, i, k]
+    _add_matrices(share if apart else 1.0, AV, each, cov, cross, not apart)
+    for s in range(S):
+        weight = outer if s > 0 else 1.0 - 2.0 * na * outer
+        for i in range(n):
+            for k in range(K):
+                value[s, i, k] -= mean[i, k]
+            for j in range(i + 1):
+                for k in range(K):
+                    cov[i, j, k] += weight * value[s, i, k] * value[s, j, k]
+    for i in range(n):
+        for j in range(i):
+            for k in range(K):
+                cov[j, i, k] = cov[i, j, k]
+    for i in range(na):
+        for r in range(n):
+            for k in range(K):
+                value[0, r, k] = outer * (value[1 + 2 * i, r, k] - value[2 + 2 * i, r, k])
+            for c in range(nx):
+                for k in range(K):
+                    cross[r, c, k] += value[0, r, k] * offsets[i, c, k]
 
 
 @njit(cache=True, error_model="numpy")
-def _product_into(A, V, AV):
-    """A V (n, nz), without the zeros of A: what remembers, as a dead time, hands most of its states on.
+def _differ(matrices, S, s):
+    """Whether matrices (1 or K S, n, m) at point s are, of some copy, not those at the point before."""
+    if matrices.shape[0] == 1:
+        return False
+    for row in range(s, matrices.shape[0], S):
+        for i in range(matrices.shape[1]):
+            for j in range(matrices.shape[2]):
+                if matrices[row, i, j] != matrices[row - 1, i, j]:
+                    return True
+    return False
 
-    Terms are added in the order of a whole sum, so that it is the same number to the last bit.
-    """
-    n, nz = AV.shape
+
+@njit(cache=True, error_model="numpy")
+def _at_point(matrices, S, s, out):
+    """Matrices (1 or K S, n, m) at point s of each copy, into out (n, m, K)."""
+    n, m, K = out.shape
+    step, first = (S, s) if matrices.shape[0] > 1 else (0, 0)
+    for i in range(n):
+        for j in range(m):
+            for k in range(K):
+                out[i, j, k] = matrices[first + step * k, i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _not_zero(A, some):
+    """Which entries of A (n, nz, K) are not zero in all copies: a dead time hands most of its states on."""
+    n, nz, K = A.shape
     for i in range(n):
         for c in range(nz):
-            AV[i, c] = 0.0
-        for d in range(nz):
-            share = A[i, d]
-            if share != 0.0:
-                for c in range(nz):
-                    AV[i, c] += share * V[d, c]
+            some[i, c] = False
+            for k in range(K):
+                some[i, c] |= A[i, c, k] != 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def _and_back_into(AV, A, Q, each):
-    """Q + A V A' (n, n), without the zeros of A."""
-    n, nz = AV.shape
+def _impossible(Q, L, lost):
+    """Which of Q (n, n, K) are no covariances (K,), as ``has_no_root`` has it; L (n, n, K) is overwritten.
+
+    None where none has an entry beside its diagonal, or a negative one there.
+    """
+    n, _, K = Q.shape
+    lost[:] = False
+    doubt = False
     for i in range(n):
         for j in range(n):
-            each[i, j] = Q[i, j]
+            for k in range(K):
+                doubt |= Q[i, j, k] < 0.0 if i == j else Q[i, j, k] != 0.0
+    if not doubt:
+        return
     for j in range(n):
-        for c in range(nz):
-            share = A[j, c]
-            if share != 0.0:
-                for i in range(n):
-                    each[i, j] += AV[i, c] * share
+        for k in range(K):
+            L[j, j, k] = Q[j, j, k] * (1.0 + NEGATIVE)
+        for q in range(j):
+            for k in range(K):
+                L[j, j, k] -= L[j, q, k] * L[j, q, k]
+        for k in range(K):
+            d = L[j, j, k]
+            lost[k] |= d < 0.0 or (d == 0.0 and Q[j, j, k] > 0.0)
+            L[j, j, k] = math.sqrt(d)
+        for i in range(j):
+            for k in range(K):
+                apart = abs(Q[i, j, k] - Q[j, i, k])
+                lost[k] |= apart > NEGATIVE * math.sqrt(Q[i, i, k] * Q[j, j, k])
+        for i in range(j + 1, n):
+            for k in range(K):
+                L[i, j, k] = Q[i, j, k]
+            for q in range(j):
+                for k in range(K):
+                    L[i, j, k] -= L[i, q, k] * L[j, q, k]
+            for k in range(K):
+                p = L[j, j, k]
+                lost[k] |= p == 0.0 and L[i, j, k] != 0.0
+                L[i, j, k] = L[i, j, k] / p if p > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def _as_before(matrices, row):
-    """Whether a matrix (., n, m) is the one before it, number for number."""
-    for i in range(matrices.shape[1]):
-        for j in range(matrices.shape[2]):
-            if matrices[row, i, j] != matrices[row - 1, i, j]:
-                return False
-    return True
+def _products(A, Q, V, some, AV, each):
+    """A V (n, nz, K) and the lower half of Q + A V A' (n, n, K)."""
+    n, nz, K = A.shape
+    for i in range(n):
+        for c in range(nz):
+            for k in range(K):
+                AV[i, c, k] = 0.0
+            for d in range(nz):
+                if some[i, d]:
+                    for k in range(K):
+                        AV[i, c, k] += A[i, d, k] * V[d, c, k]
+        for j in range(i + 1):
+            for k in range(K):
+                each[i, j, k] = Q[i, j, k]
+            for c in range(nz):
+                if some[j, c]:
+                    for k in range(K):
+                        each[i, j, k] += AV[i, c, k] * A[j, c, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _values(f, z, A, some, lost, s, value):
+    """f + A z (n, K) at point s, NaN where the noise is none."""
+    n, nz, K = A.shape
+    S = z.shape[0]
+    for i in range(n):
+        for k in range(K):
+            value[i, k] = np.nan if lost[k] else f[k * S + s, i]
+        for c in range(nz):
+            if some[i, c]:
+                for k in range(K):
+                    value[i, k] += A[i, c, k] * z[s, c, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_matrices(share, AV, each, cov, cross, first):
+    """Points of this share of the weights have these matrices; of ``cov`` the lower half is filled."""
+    n, nz, K = AV.shape
+    na = cross.shape[1] - nz
+    if first:
+        cross[:, :na], cov[:] = 0.0, 0.0
+        cross[:, na:] = 0.0
+    for i in range(n):
+        for c in range(nz):
+            for k in range(K):
+                cross[i, na + c, k] += share * AV[i, c, k]
+        for j in range(i + 1):
+            for k in range(K):
+                cov[i, j, k] += share * each[i, j, k]
 
 
 @njit(cache=True, error_model="numpy")
 def gaussian_update(m, P, y_mean, S, cross, y):
     """Condition N(m, P) on the channels of y (ny,) that are there.
 
-    Returns the new m, P, and log N(y; y_mean, S) (K,).
+    m (K, nx), P (K, nx, nx), y_mean (K, ny), S (K, ny, ny), cross (K, ny, nx) -> the new m, P, and
+    log N(y; y_mean, S) (K,).
     """
     K, nx = m.shape
-    n = y.size
-    m_new, P_new, log_p = m.copy(), P.copy(), np.empty(K)
-    own = np.empty((n, n)), np.empty((n, n)), np.empty((n, nx)), np.empty((3, n))
-    gaussian_update_into(m_new, P_new, y_mean, S, cross, y, log_p, own)
-    return m_new, P_new, log_p
+    m_new, P_new, log_p = m.T.copy(), copies_last(P), np.empty(K)
+    room = room_for_update(y.size, nx, K)
+    update_into(m_new, P_new, y_mean.T.copy(), copies_last(S), copies_last(cross), y, log_p, room)
+    return m_new.T.copy(), copies_first(P_new), log_p
 
 
 @njit(cache=True, error_model="numpy")
-def gaussian_update_into(m, P, y_mean, S, cross, y, log_p, own):
-    """:func:`gaussian_update` in place, with log_p (K,) filled.
-
-    ``own`` (ny, ny) twice, (ny, nx) and (3, ny) are overwritten.
-    """
-    K, nx = m.shape
-    n = 0
-    for i in range(y.size):
-        n += not np.isnan(y[i])
-    # of the channels that are there
-    Sk, L, W, rows = own[0][:n, :n], own[1][:n, :n], own[2], own[3]
-    r, slack, v = rows[0, :n], rows[1, :n], rows[2, :n]
-    for k in range(K):
-        p = 0
-        for i in range(y.size):
-            if np.isnan(y[i]):
-                continue
-            r[p] = y[i] - y_mean[k, i]
-            slack[p] = MEASURED * (abs(y[i]) + abs(y_mean[k, i]))
-            q = 0
-            for j in range(y.size):
-                if not np.isnan(y[j]):
-                    Sk[p, q] = S[k, i, j]
-                    q += 1
-            for c in range(nx):
-                W[p, c] = cross[k, i, c]
-            p += 1
-        psd_cholesky_into(Sk, L)
-        possible = whiten(L, r, slack, v)
-        log_p[k] = log_normalizer(L, n) if possible else -np.inf
-        for p in range(n):
-            log_p[k] -= 0.5 * v[p] * v[p]
-        for c in range(nx):
-            for p in range(n):
-                s = W[p, c]
-                for q in range(p):
-                    s -= L[p, q] * W[q, c]
-                W[p, c] = s / L[p, p] if L[p, p] > 0.0 else 0.0
-        for i in range(nx):
-            for p in range(n):
-                m[k, i] += W[p, i] * v[p]
-            for j in range(nx):
-                for p in range(n):
-                    P[k, i, j] -= W[p, i] * W[p, j]
-
-
-@njit(cache=True, error_model="numpy")
-def room_for(K, S, na, nx, ny):
-    """What :func:`observe` and :func:`predict` write into and leave: room is found once for all time steps.
-
-    Roots of points; values, products and a root of each transform; what an update needs; mean of y_t,
-    Cov(y_t, x_t) and Cov(x_{t+1}, x_t).
-    """
-    nz = nx - na
+def room_for_update(ny, nx, K):
+    """What :func:`update_into` overwrites."""
     return (
-        (np.empty((na, na)), np.empty((na, nz))),
-        (np.empty((S, ny)), np.empty((ny, nz)), np.empty((ny, ny)), np.empty((ny, ny))),
-        (np.empty((S, nx)), np.empty((nx, nz)), np.empty((nx, nx)), np.empty((nx, nx))),
-        (np.empty((ny, ny)), np.empty((ny, ny)), np.empty((ny, nx)), np.empty((3, ny))),
-        (np.empty((K, ny)), np.empty((K, ny, nx)), np.empty((K, nx, nx))),
+        (np.empty((ny, ny, K)), np.empty((ny, ny, K))),
+        np.empty((ny, nx, K)),
+        (np.empty((ny, K)), np.empty((ny, K))),
     )
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def update_into(m, P, y_mean, S, cross, y, log_p, room):
+    """:func:`gaussian_update` in place, copies last, with log_p (K,) filled."""
+    nx, K = m.shape
+    (S_there, root), W, (r, slack) = room
+    n = 0
+    for i in range(y.size):
+        if np.isnan(y[i]):
+            continue
+        for k in range(K):
+            r[n, k] = y[i] - y_mean[i, k]
+            slack[n, k] = MEASURED * (abs(y[i]) + abs(y_mean[i, k]))
+        q = 0
+        for j in range(y.size):
+            if not np.isnan(y[j]):
+                for k in range(K):
+                    S_there[n, q, k] = S[i, j, k]
+                q += 1
+        for c in range(nx):
+            for k in range(K):
+                W[n, c, k] = cross[i, c, k]
+        n += 1
+    L, v = root if n == y.size else np.empty((n, n, K)), r[:n]
+    _roots_into(S_there, L)
+    log_normal_each(L, v, slack, log_p)  # whitens v
+    for p in range(n):
+        for c in range(nx):
+            for q in range(p):
+                for k in range(K):
+                    W[p, c, k] -= L[p, q, k] * W[q, c, k]
+            for k in range(K):
+                W[p, c, k] = W[p, c, k] / L[p, p, k] if L[p, p, k] > 0.0 else 0.0
+    for p in range(n):
+        for i in range(nx):
+            for k in range(K):
+                m[i, k] += W[p, i, k] * v[p, k]
+            for j in range(i + 1):
+                for k in range(K):
+                    P[i, j, k] -= W[p, i, k] * W[p, j, k]
+    for i in range(nx):
+        for j in range(i):
+            for k in range(K):
+                P[j, i, k] = P[i, j, k]
+
+
 @njit(cache=True, error_model="numpy")
-def observe(t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
+def room_for(K, na, nx, ny):
+    """What :func:`observe` and :func:`predict` write into and leave: found once for all time steps.
+
+    That of points, of both transforms and of the update; mean, covariance of y_t and Cov(y_t, x_t), and
+    Cov(x_{t+1}, x_t).
+    """
+    nz, S = nx - na, 2 * na + 1
+    return (
+        room_for_points(na, nz, K),
+        room_for_transform(ny, nz, S, K),
+        room_for_transform(nx, nz, S, K),
+        room_for_update(ny, nx, K),
+        (np.empty((ny, K)), np.empty((ny, ny, K)), np.empty((ny, nx, K)), np.empty((nx, nx, K))),
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def observe(room, known, t, h, C, R, rows, beside, m, P, y, innovations, S, log_p):
     """Row t of y: :func:`transform`, :func:`gaussian_update`, and the new :func:`sigma_points`, in place.
 
-    h, C, R at the points a, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
-    (T, K, ny, ny) and ``log_p`` (T, K) are filled. Returns Cov(y_t, x_t) (K, ny, nx).
+    h, C, R at the points ``rows``, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
+    (T, K, ny, ny) and ``log_p`` (T, K) are filled. Returns Cov(y_t, x_t) (ny, nx, K).
     """
-    K, points, na = a.shape
-    room = room_for(K, points, na, m.shape[1], y.shape[1])
-    return observe_in(room, t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p)
-
-
-@njit(cache=True, error_model="numpy")
-def observe_in(room, t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
-    """:func:`observe` in a :func:`room_for` it."""
-    y_mean, cross, _ = room[4]
-    transform_into(h, C, R, z, V, offsets, y_mean, S[t], cross, room[1])
-    gaussian_update_into(m, P, y_mean, S[t], cross, y[t], log_p[t], room[3])
-    for k in range(m.shape[0]):
-        for i in range(y.shape[1]):
-            innovations[t, k, i] = y[t, i] - y_mean[k, i]
-    sigma_points_into(m, P, a, z, V, offsets, *room[0])
+    y_mean, S_t, cross, _ = room[4]
+    transform_into(h, C, R, beside, y_mean, S_t, cross, room[1], known)
+    update_into(m, P, y_mean, S_t, cross, y[t], log_p[t], room[3])
+    for i in range(y.shape[1]):
+        for k in range(m.shape[1]):
+            innovations[t, k, i] = y[t, i] - y_mean[i, k]
+            for j in range(y.shape[1]):
+                S[t, k, i, j] = S_t[i, j, k]
+    points_into(m, P, rows, beside, room[0])
     return cross
 
 
-@njit(cache=True, error_model="numpy")
-def predict(f, A, Q, a, z, V, offsets, m, P):
+@njit(cache=True, error_model="numpy", inline="always")
+def predict(room, known, f, A, Q, rows, beside, m, P):
     """One step ahead: :func:`transform` and the new :func:`sigma_points`, in place; Cov(x_{t+1}, x_t)."""
-    K, points, na = a.shape
-    room = room_for(K, points, na, m.shape[1], 0)
-    return predict_in(room, f, A, Q, a, z, V, offsets, m, P)
-
-
-@njit(cache=True, error_model="numpy")
-def predict_in(room, f, A, Q, a, z, V, offsets, m, P):
-    """:func:`predict` in a :func:`room_for` it."""
-    cross = room[4][2]
-    transform_into(f, A, Q, z, V, offsets, m, P, cross, room[2])
-    sigma_points_into(m, P, a, z, V, offsets, *room[0])
+    cross = room[4][3]
+    transform_into(f, A, Q, beside, m, P, cross, room[2], known)
+    points_into(m, P, rows, beside, room[0])
     return cross
 
 

@@ -8,8 +8,9 @@ from numba import njit
 from engine.kernels.moments import (
     gaussian_update,
     keep_reading,
-    observe_in,
-    predict_in,
+    observe,
+    points_into,
+    predict,
     room_for,
     sigma_points,
     slopes,
@@ -25,47 +26,48 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
 
     ``reading`` and ``moving`` are the arguments of :func:`evaluate` but the last four, with the results as
     matrices beside them; ``record`` the inputs u, u_step, times, steps and where x_1 begins again; ``state`` is
-    a, z, V, offsets, m, P, filled in place, ``start`` m and P of x_1; ``found`` innovations, S and terms.
-    ``visited``, each (T, S, na) or empty, are the points of the first copy, ``moments`` and ``gains`` as
-    :func:`engine.kernels.moments.keep_reading` has them, or empty.
+    the points' rows, what is beside them, m, P, copies last, filled in place, ``start`` m and P of x_1;
+    ``found`` innovations, S and terms. ``visited``, each (T, S, na) or empty, are the points of the first copy,
+    ``moments`` and ``gains`` as :func:`engine.kernels.moments.keep_reading` has them, or empty.
     """
     tape_y, links_y, W_y, places_y, flat_y, (h, C, R) = reading
     tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
     u, u_step, t, dt, begins = record
-    a, z, V, offsets, m, P = state
+    rows, beside, m, P = state
     innovations, S, terms = found
     predicted, P_predicted, filtered, P_filtered = moments
-    K, points, na = a.shape
-    rows = a.reshape(K * points, na)
-    nothing = np.zeros((1, m.shape[1], z.shape[2]))
-    room = room_for(K, points, na, m.shape[1], y.shape[1])
-    keeps = predicted.shape[0] > 0
+    K, (points, na) = m.shape[1], (beside[0].shape[0], rows.shape[1])
+    room = room_for(K, na, m.shape[0], y.shape[1])
+    keeps, begun = predicted.shape[0] > 0, False
     for k in range(len(y)):
         if visited[0].shape[0]:
-            visited[0][k] = a[0]
+            visited[0][k] = rows[:points]
         if not evaluate(tape_y, links_y, W_y, places_y, flat_y, rows, u[k], t[k], 0.0):
             return False
         if keeps:
-            predicted[k], P_predicted[k] = m[0], P[0]
-        cross = observe_in(room, k, h, C, R, a, z, V, offsets, m, P, y, innovations, S, terms)
+            predicted[k], P_predicted[k] = m[:, 0], P[:, :, 0]
+        seen = k > 0 and places_y[1].size == 0, k > 0 and places_y[2].size == 0
+        cross = observe(room, seen, k, h, C, R, rows, beside, m, P, y, innovations, S, terms)
         if keeps:
-            filtered[k], P_filtered[k] = m[0], P[0]
-            keep_reading(k, cross[0], S[k, 0], y[k], moments, gains)
+            filtered[k], P_filtered[k] = m[:, 0], P[:, :, 0]
+            keep_reading(k, cross[:, :, 0].copy(), S[k, 0], y[k], moments, gains)
         if visited[0].shape[0]:
-            visited[1][k] = a[0]
+            visited[1][k] = rows[:points]
         if k == len(y) - 1:
             break
         if begins[k + 1]:
-            again, Q_1 = np.empty((K * points, m.shape[1])), np.empty((K * points, *P.shape[1:]))
-            for row in range(K * points):
-                again[row], Q_1[row] = start[0][row // points], start[1][row // points]
-            cross = predict_in(room, again, nothing, Q_1, a, z, V, offsets, m, P)
-        else:
-            if not evaluate(tape_x, links_x, W_x, places_x, flat_x, rows, u_step[k], t[k], dt[k]):
-                return False
-            cross = predict_in(room, f, A, Q, a, z, V, offsets, m, P)
+            m[:], P[:] = start
+            points_into(m, P, rows, beside, room[0])
+            if keeps:
+                gains[2][k] = 0.0
+            continue
+        if not evaluate(tape_x, links_x, W_x, places_x, flat_x, rows, u_step[k], t[k], dt[k]):
+            return False
+        moved = begun and places_x[1].size == 0, begun and places_x[2].size == 0
+        begun = True
+        cross = predict(room, moved, f, A, Q, rows, beside, m, P)
         if keeps:
-            gains[2][k] = slopes(cross[0], P_filtered[k])
+            gains[2][k] = slopes(cross[:, :, 0].copy(), P_filtered[k])
     return True
 
 
