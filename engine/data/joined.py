@@ -105,8 +105,8 @@ def anew(t: Any, starts: Sequence[float], early: float = 0.0) -> Any:
     """
     if len(starts) < 2:
         return t
-    begun = np.searchsorted(starts, np.asarray(t) + early, side="right") - 1
-    return t - (np.asarray(starts)[np.maximum(begun, 0)] - starts[0])
+    after = np.append(0.0, np.asarray(starts) - starts[0])  # a table that is found on a tape, too
+    return t - after[np.searchsorted(starts, t + early, side="right")]
 
 
 def joined(one: Series, other: Series) -> Series:

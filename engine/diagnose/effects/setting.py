@@ -222,7 +222,10 @@ class Setting:
     # ---- time ---------------------------------------------------------------------------------
 
     def anew(self, t: Any) -> Any:
-        """Times (a number or (M,)) as if every record began with the first: what begins with one counts so."""
+        """Times (a number or (M,)) as if every record began with the first: what begins with one counts so.
+
+        A function of a model takes this method itself, not the setting: what it calls by name is recorded.
+        """
         return anew(t, self.starts, self.early * self.dt)
 
     @cached_property

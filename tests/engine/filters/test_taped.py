@@ -14,7 +14,7 @@ from scipy.special import expit
 import engine
 import engine.filters.sigma_point
 import engine.filters.strata
-from engine.data.joined import joined
+from engine.data.joined import in_turn, joined, together
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.of_series import setting_for
@@ -124,6 +124,29 @@ def test_with_effects_it_is_what_calls_make(name, every, monkeypatch):
             assert_same(taped, called)
     assert len(without) <= 5, without  # nearly all that diagnoses ask for is on tape
     assert "" not in without
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "variance:rate->time",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("drift:encoder", "variance:encoder->time", "parameter-drift:k")
+        ),
+    ],
+)
+def test_what_begins_anew_with_each_record_is_as_well(name, monkeypatch):
+    """Its clock looks into a table of the records, which was called at every row of each of them."""
+    model = pendulum()
+    records = in_turn([series_for(model, seed, even=False) for seed in range(3)])
+    series = together(records)
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    (effect,) = (one for one in all_effects(setting) if one.name == name)
+    extended = effect.apply(model)
+    taped, called = both(extended, thetas_of(extended, 2), series, monkeypatch)
+    assert taped is not None
+    assert_same(taped, called)
 
 
 @pytest.mark.parametrize(

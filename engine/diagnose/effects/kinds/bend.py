@@ -67,10 +67,10 @@ def _bend(
         (-SHARPEST, SHARPEST),
         "of exp(-sharpness s): above 0 it changes most at first, below 0 at last",
     )
-    times = over_the_record(name, setting)
+    times, clock = over_the_record(name, setting), setting.anew
 
     def course(t: Any, own: Sequence[Any]) -> Any:
-        return own[0] * bend((setting.anew(t) - own[2]) / own[3], own[1])
+        return own[0] * bend((clock(t) - own[2]) / own[3], own[1])
 
     return Effect(
         kind,

@@ -127,7 +127,7 @@ def _offset(setting: Setting, channel: str) -> Effect | None:
 
 
 def _drift(setting: Setting, channel: str, name: str) -> Effect:
-    start = setting.run[0]
+    start, clock = setting.run[0], setting.anew
     return Effect(
         "drift",
         channel,
@@ -138,9 +138,7 @@ def _drift(setting: Setting, channel: str, name: str) -> Effect:
             Parameter(name, 0.0, setting.rate(channel), description="sensor drift"),
             Parameter(f"{name}_start", start, setting.time_unit, description="when it is zero"),
         ),
-        lambda model: add_to_output(
-            model, channel, lambda v, own: own[0] * (setting.anew(v.t) - own[1])
-        ),
+        lambda model: add_to_output(model, channel, lambda v, own: own[0] * (clock(v.t) - own[1])),
         probes=((start,),),
         look_alikes={"bias": "does not grow", "ramp": "moves the state"},
         held=(f"{name}_start",),

@@ -121,11 +121,11 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     first, last = setting.run
     middle, timely = 0.5 * (first + last), signal == "time"
     scale = max(last - first, setting.dt) if timely else setting.size(signal)
-    origin = None if timely else Origin(setting, name, signal)
+    origin, clock = None if timely else Origin(setting, name, signal), setting.anew
 
     def factor(model: MixedModel, a: Array, u: Any, t: Any, own: Any) -> Any:
         if origin is None:
-            x = setting.anew(t) - own[2]
+            x = clock(t) - own[2]
         elif signal in model.nonlinear:
             x = np.abs(a[:, list(model.nonlinear).index(signal)] - origin.of(own))
         else:

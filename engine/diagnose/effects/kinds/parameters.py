@@ -96,7 +96,7 @@ def _change(when: Course, further_of: Callable[[str, Setting], list[Parameter]])
     kind = f"parameter-{title}"
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
-        further = further_of(name, setting)
+        further, clock = further_of(name, setting), setting.anew
         formulas = {
             Course.STEP: f"[t >= {name}_time]{lasting(further)}",
             Course.EPISODE: f"[{name}_time <= t < {name}_end]",
@@ -105,7 +105,7 @@ def _change(when: Course, further_of: Callable[[str, Setting], list[Parameter]])
 
         def course(t: Any, u: Any, own: Sequence[Any]) -> Any:
             if drifts:
-                return own[0] * ((setting.anew(t) - own[1]) / own[2])
+                return own[0] * ((clock(t) - own[1]) / own[2])
             return own[0] * (since if when is Course.STEP else during)(t, own[1:], setting.later)
 
         return Effect(
