@@ -8,17 +8,20 @@ noise are those of a step of F = [J A] (van Loan).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from engine.kernels.local_linearization import LEAST, NEAR, SHORT
 from engine.kernels.van_loan import van_loan
 from engine.statespace.recorded.arrays import TracedArray, record_arrays
+from engine.statespace.recorded.derivatives import linear_in
 from engine.statespace.recorded.numbers import record
 from engine.statespace.recorded.program import traced_results
 from engine.statespace.rows import Array
+
+Slope: TypeAlias = Callable[[Any], Any]
 
 
 def over_a_step(F: Array, G: Array, Qc: Array, dt: Array) -> tuple[Array, Array, Array]:
@@ -56,10 +59,13 @@ class TracedStep:
         """f (1, nx), A (1, nx, nz) and Q (1, nx, nx)."""
         na, nx = self._na, self._na + self._nz
         middle = t + 0.5 * dt
+        recorder = dt.recorder
+        begun = len(recorder.done)
         f, A = self._rates(a, u, middle, theta)
+        linear = [linear_in(x, recorder, begun) for x in a[0]]
         found = (self._diffusion(a, u, middle, theta),)
         (Qc,) = _entries(found, ((nx, nx),))
-        J = self._slopes(a, f, A, u, middle, dt, theta)
+        J = self._slopes(a, f, A, u, middle, dt, theta, linear)
         F = np.concatenate([J, A], axis=1)
         A_d, B, Q = record_arrays(over_a_step, [F, np.eye(nx), Qc, dt])
         moved = B @ f
@@ -70,14 +76,23 @@ class TracedStep:
         nx = self._na + self._nz
         return _entries(self._drift(a.copy(), u, t, theta), ((nx,), (nx, self._nz)))
 
-    def _slopes(self, a: Any, f: Any, A: Any, u: Any, t: Any, dt: Any, theta: Any) -> Any:
-        """J (nx, na), differences over the ways of :func:`engine.kernels.local_linearization.beside`."""
+    def _slopes(
+        self, a: Any, f: Any, A: Any, u: Any, t: Any, dt: Any, theta: Any, linear: Sequence[Slope]
+    ) -> Any:
+        """J (nx, na): of a rate in which a state stands linearly as it is, and the same for all states.
+
+        Of others differences over the ways of :func:`engine.kernels.local_linearization.beside`.
+        """
         na, nx = self._na, self._na + self._nz
         if self._jacobian is not None:
             (J,) = _entries((self._jacobian(a.copy(), u, t, theta),), ((nx, na),))
             return J
         J = np.zeros((nx, na), dtype=object).view(TracedArray)
-        for i in range(na):
+        for i, slope in enumerate(linear):
+            J[:, i] = [slope(rate) for rate in f]
+            bent = [r for r in range(nx) if J[r, i] is None]
+            if not bent:
+                continue
             way = dt * abs(f[i]) + 0.5 * dt**2 * np.sum(np.abs(A[i]) * np.abs(f[na:]))
             h = SHORT * way + LEAST * abs(a[0, i]) + NEAR * self._sizes[i]
             h = record(np.where, (h > 0.0, h, NEAR))
@@ -85,7 +100,7 @@ class TracedStep:
             up[0, i] += h
             down[0, i] -= h
             above, below = (self._rates(one, u, t, theta)[0] for one in (up, down))
-            J[:, i] = (above - below) / (up[0, i] - down[0, i])
+            J[bent, i] = (above - below)[bent] / (up[0, i] - down[0, i])
         return J
 
 

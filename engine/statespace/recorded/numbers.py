@@ -58,6 +58,7 @@ class Recorder:
         self.origins: dict[int, dict[int, Traced]] = {}  # what is finite where these values are
         self.finite: set[int] = set()  # values of which it is looked at already
         self.values = 0
+        self.numbers: dict[int, Traced] = {}
         self.booleans: set[int] = set()  # values that are true or not
         self.of_states: set[int] = set()  # values that depend on nonlinear states
         self.goes_by_rows = False  # whether it takes one of those out of an array
@@ -88,7 +89,12 @@ class Recorder:
         self.values += 1
         out = Traced(self, self.values - 1, value)
         self.origins[out.index] = {out.index: out}
+        self.numbers[out.index] = out
         return out
+
+    def operand(self, index: int) -> Any:
+        """The value with that number: traced, or one that does not differ."""
+        return self.constants[index] if index in self.constants else self.numbers[index]
 
     def constant(self, value: Any) -> int:
         """The number of a value that does not differ."""
