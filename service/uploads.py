@@ -10,12 +10,13 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from engine.data.by_column import gather, in_order, parts_of
 from engine.data.channels import check_units
 from engine.data.files import TEXT, read_table, series_from
 from engine.data.table import Table
@@ -30,7 +31,8 @@ from service.validation import ADAPTER, find_model
 
 BLANKS = re.compile(rb" +(?=[^\s])")  # between cells that nothing else parts
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
-ADVICE = ('"dt": STEP', '"t": "{}"')  # members of an entry of ``series``
+ADVICE = ('"dt": STEP', '"t": "{}"')  # members of an entry of ``series`` ...
+BY = '"by": "{}"'  # ... and another one
 
 
 class _FileSeries(BaseModel):
@@ -45,6 +47,15 @@ class _FileSeries(BaseModel):
     hold: Hold | None = None  # None: as the file says
     time_unit: TimeUnit | None = None  # so here
     extra: list[str] = Field(default_factory=list, max_length=50)
+    # what tells the records in one file apart
+    by: Annotated[list[str], BeforeValidator(lambda x: [x] if isinstance(x, str) else x)] = Field(
+        default_factory=list, max_length=10
+    )
+
+    @property
+    def other(self) -> list[str]:
+        """Columns that are neither channels of the model nor times."""
+        return [*self.extra, *self.by]
 
 
 def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Request:
@@ -70,16 +81,18 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
     if isinstance(test, dict):
         test = [test]
     if isinstance(test, list):
-        body["test"] = _read_all(test, files, "test[{}]" if len(test) > 1 else "test", body, notes)
+        where = "test[{}]" if len(test) > 1 else "test"
+        body["test"] = [one for _, one in _read_all(test, files, where, body, notes)]
         held_out = {one.get("file") for one in test if isinstance(one, dict)}
         files = {name: data for name, data in files.items() if name not in held_out}
     entries = body.get("series")
     if entries is None:
         entries = [{"file": name} for name in files]
     if isinstance(entries, list):
-        body["series"] = _read_all(entries, files, "series[{}]", body, notes)
+        read = _read_all(entries, files, "series[{}]", body, notes)
+        body["series"] = [one for _, one in read]
         if body.get("kind") != "simulate":
-            _check_apart(entries, body["series"])
+            _check_apart(entries, read)
     if notes:
         body["notes"] = [one[:LONGEST_NOTE] for one in notes[:MOST_NOTES]]
     try:
@@ -100,12 +113,13 @@ def _check_all_used(files: Mapping[str, bytes], body: Mapping[str, Any]) -> None
             raise invalid("file", f"no series names '{name}': name it in series, or leave it out")
 
 
-def _check_apart(entries: list[Any], read: list[Any]) -> None:
+def _check_apart(entries: list[Any], read: list[tuple[int, Any]]) -> None:
     """Refuse what is read twice from one file: it would count as two experiments."""
     files = [one.get("file") if isinstance(one, dict) else None for one in entries]
-    for j, file in enumerate(files):
-        for k in range(j):
-            if file is not None and files[k] == file and _same(read[k], read[j]):
+    for n, (j, one) in enumerate(read):
+        for k, other in read[:n]:
+            file = files[j]
+            if k != j and file is not None and files[k] == file and _same(other, one):
                 raise invalid(
                     f"series[{j}].file", f"series[{k}] reads the same of '{file}': give each once"
                 )
@@ -122,14 +136,17 @@ def _read_all(
     where: str,
     body: dict[str, Any],
     notes: list[str],
-) -> list[Any]:
-    """The entries; those that name a file are read from it, with ``notes`` of how."""
-    return [
-        _read(one, files, where.format(i), body, notes)
-        if isinstance(one, dict) and "file" in one
-        else one
-        for i, one in enumerate(entries)
-    ]
+) -> list[tuple[int, Any]]:
+    """The entries by their numbers; those that name a file are read from it, with ``notes`` of how.
+
+    One whose columns tell records apart is as many.
+    """
+    out = list[tuple[int, Any]]()
+    for i, one in enumerate(entries):
+        named = isinstance(one, dict) and "file" in one
+        each = _read(one, files, where.format(i), body, notes) if named else [one]
+        out += [(i, part) for part in each]
+    return out
 
 
 def _read(
@@ -138,8 +155,8 @@ def _read(
     where: str,
     body: dict[str, Any],
     notes: list[str],
-) -> dict[str, Any]:
-    """{"file": ..., "y": columns, ...} -> {"y": table, "u": table, "t": times}."""
+) -> list[dict[str, Any]]:
+    """{"file": ..., "y": columns, ...} -> {"y": table, "u": table, "t": times}, for each of its records."""
     try:
         wanted = _FileSeries.model_validate(entry)
     except ValidationError as error:
@@ -155,24 +172,39 @@ def _read(
         if wanted.t:
             wanted.t = table.full(wanted.t)
         wanted.extra = [table.full(name) for name in wanted.extra]
+        wanted.by = [table.full(name) for name in wanted.by]
+        parts = _parts(table, wanted.by, f"{where}.by")
         y, u = (None, None) if model is None else _matched(table, wanted, model, where)
-        series = series_from(
-            table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit, wanted.extra
-        )
+        how = wanted.t, wanted.dt, wanted.hold, wanted.time_unit, wanted.other, BY
+        every = [series_from(part, y, u, *how) for part in parts]
+        if wanted.by:
+            gather(table, parts)
+            table.notes.append(in_order(table, parts))
         if model is not None:
-            check_units(series, model)
-            clock = bool(wanted.t or wanted.dt), wanted.extra
-            told = noted(table, series, model, {**(y or {}), **(u or {})}, clock, ADVICE)
+            check_units(every[0], model)
+            clock = bool(wanted.t or wanted.dt), wanted.other
+            told = noted(table, every[0], model, {**(y or {}), **(u or {})}, clock, ADVICE)
             notes += [f"{table.file}: {one}" for one in told]
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
-    read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}
-    read["time_unit"] = series.time_unit
-    if series.u.shape[1]:
-        read["u"] = series.u
-    if wanted.extra:
-        read["extra"] = _extra(wanted, table, f"{where}.extra")
-    return read
+    out = []
+    for part, series in zip(parts, every, strict=True):
+        read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}
+        read["time_unit"] = series.time_unit
+        if series.u.shape[1]:
+            read["u"] = series.u
+        if wanted.extra:
+            read["extra"] = _extra(wanted, part, f"{where}.extra")
+        out.append(read)
+    return out
+
+
+def _parts(table: Table, by: list[str], where: str) -> list[Table]:
+    """The table, or its records."""
+    try:
+        return parts_of(table, by) if by else [table]
+    except SeriesError as error:
+        raise invalid(where, str(error)) from None
 
 
 def _matched(
@@ -182,7 +214,7 @@ def _matched(
     outputs, inputs = list(model.outputs), list(model.inputs)
     given = _given(wanted.y, table, outputs, f"{where}.y")
     given |= _given(wanted.u, table, inputs, f"{where}.u")
-    found = match(table, outputs, inputs, given, {*wanted.extra, wanted.t or ""})
+    found = match(table, outputs, inputs, given, {*wanted.other, wanted.t or ""})
     for member, channels in (("y", outputs), ("u", inputs)):
         for channel in channels:
             if channel not in found and channel not in wanted.extra:

@@ -39,6 +39,7 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.array_files import read_mat, read_npz
+from engine.data.by_column import gather, names_records, parts_of
 from engine.data.csv_files import read_csv
 from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward
 from engine.data.series import Series
@@ -75,18 +76,64 @@ def read_series(
 
     Raises SeriesError naming the file, the line and the column, and what the file holds.
     """
-    path = Path(path)
+    table = _table_at(Path(path))
+    series = _series_of(table, y, u, t, dt, hold, time_unit, extra)
+    _warn_of(table)
+    return series
+
+
+def read_records(
+    path: str | Path,
+    by: str | Sequence[str],
+    y: Channels = None,
+    u: Channels = None,
+    t: str | None = None,
+    dt: float | None = None,
+    hold: str | None = None,
+    time_unit: str | None = None,
+    extra: Channels = None,
+) -> list[Series]:
+    """Read a file in which several records stand: those rows are one that are alike in the column ``by``.
+
+    Or in several columns, a subject and a day, say. Records come in the order in which they first appear, each
+    on its own clock; the other arguments are those of :func:`read_series`.
+    """
+    table = _table_at(Path(path))
+    names = [by] if isinstance(by, str) else list(by)
+    parts = parts_of(table, names)
+    other = [table.full(name) for name in names]
+    found = [_series_of(part, y, u, t, dt, hold, time_unit, extra, other) for part in parts]
+    gather(table, parts)
+    _warn_of(table)
+    return found
+
+
+def _table_at(path: Path) -> Table:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
-    table = read_table(data, path.name)
+    return read_table(data, path.name)
+
+
+def _series_of(
+    table: Table,
+    y: Channels,
+    u: Channels,
+    t: str | None,
+    dt: float | None,
+    hold: str | None,
+    time_unit: str | None,
+    extra: Channels,
+    other: Sequence[str] = (),
+) -> Series:
+    """The series of a table, with its extra channels; ``other`` columns are none."""
     names, columns = _channels(table, extra or (), "extra")
-    series = series_from(table, y, u, t, dt, hold, time_unit, columns)
+    series = series_from(table, y, u, t, dt, hold, time_unit, [*columns, *other])
     if columns:
         series = series.replace(extra=_stacked(table, "extra", columns), extra_names=names)
     if t is None and dt is None and table.dt is None:
-        taken = {*_channels(table, y, "y")[1], *_channels(table, u, "u")[1], *columns}
+        taken = {*_channels(table, y, "y")[1], *_channels(table, u, "u")[1], *columns, *other}
         if not candidates(table, taken):
             column, why = like_times(table, taken)
             if column:
@@ -94,9 +141,12 @@ def read_series(
                     f"no column of times: a step of 1 {series.time_unit} is assumed; as '{column}' {why}, "
                     f"give t='{column}', or dt."
                 )
-    for note in table.notes:
-        warnings.warn(f"{table.file}: {note}", ReadingWarning, stacklevel=2)
     return series
+
+
+def _warn_of(table: Table) -> None:
+    for note in table.notes:
+        warnings.warn(f"{table.file}: {note}", ReadingWarning, stacklevel=3)
 
 
 def read_table(data: bytes, filename: str) -> Table:
@@ -116,8 +166,12 @@ def series_from(
     hold: str | None = None,
     time_unit: str | None = None,
     other: Collection[str] = (),
+    advice: str = "Series.read_records(..., by='{}')",
 ) -> Series:
-    """The series that columns of a table make, see :func:`read_series`; ``other`` ones are no times either."""
+    """The series that columns of a table make, see :func:`read_series`; ``other`` ones are no times either.
+
+    ``advice`` is how to name the column that tells records apart, where times fall back and one may.
+    """
     y_names, y_columns = _channels(table, y, "y")
     u_names, u_columns = _channels(table, u, "u")
     step = dt if dt is not None or t is not None else table.dt
@@ -142,13 +196,26 @@ def series_from(
             units=_units(y_names, y_columns) | _units(u_names, u_columns),
         )
     except (SeriesError, OptionError) as error:
-        raise SeriesError(f"{table.file}: {table.with_lines(str(error))}") from error
+        text = table.with_lines(str(error))
+        if "time must increase" in text:
+            text += _by_which(table, t, {*y_columns, *u_columns, *other}, advice)
+        raise SeriesError(f"{table.file}: {text}") from error
     if isinstance(times, list):
         table.notes += [table.with_lines(said) for said in (set_forward(times),) if said]
     elif times is not None:
         days = "" if unit else days_of_spreadsheet(series.t)
         table.notes += [said for said in (days, digits_of_a_clock(series.t)) if said]
     return series
+
+
+def _by_which(table: Table, t: str | None, taken: Collection[str], advice: str) -> str:
+    """What to do where a column tells the records apart that stand in one file; else ""."""
+    column = names_records(table, t, taken)
+    return (
+        f". If the column '{column}' names the records, say {advice.format(column)}"
+        if column
+        else ""
+    )
 
 
 def _times_of(table: Table, channels: Collection[str], dates: bool) -> str | None:

@@ -421,6 +421,16 @@ class Series(Shown):
 
         return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit, extra=extra)
 
+    @staticmethod
+    def read_records(path: str | Path, by: str | Sequence[str], **options: Any) -> list[Series]:
+        """The records that stand in one file, told apart by a column, as of subjects, or by several.
+
+        ``options`` are the other arguments of :meth:`read`; see :func:`engine.data.files.read_records`.
+        """
+        from engine.data.files import read_records
+
+        return read_records(path, by, **options)
+
 
 def _columns(values: ArrayLike, name: str) -> Array:
     try:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ class Experiment(Run):
     fixed: dict[str, float] = field(default_factory=dict)
     columns: dict[str, str] = field(default_factory=dict)
     time: str | None = None
+    by: list[str] = field(default_factory=list)
     time_unit: str | None = None
     hold: str | None = None
     name: str = ""
@@ -55,17 +57,18 @@ class Experiment(Run):
         With so many steps a sample, for which effects that count them are made.
         """
         base = model_of(self.model)
-        columns = Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
-        every, self.notes = [], []
+        clock = self.hold, self.time_unit, self.by
+        columns = Columns(self.columns, self.time, self.dt, extra, *clock)
+        every, self.notes = list[list[Series]](), []
         for name in (*self.data, *self.test):
             series, said, notes = series_of(Path(name), base, columns)
             shown.note(said)
             self.notes += notes
-            every.append(series.refined(substeps) if base.continuous else series)
+            every.append([one.refined(substeps) if base.continuous else one for one in series])
         for note in self.notes:
             shown.warn(note)
         n = len(self.data)
-        given, test = every[:n], every[n:]
+        given, test = [*chain(*every[:n])], [*chain(*every[n:])]
         if self.effects:
             given, _ = on_one_clock(base, given)
         model = with_effects(base, self.effects, given)
@@ -94,7 +97,7 @@ _READ: dict[str, Callable[[Any], Any]] = {
     "start": partial(numbers, "--set"),
     "fixed": partial(numbers, "--fix"),
     "columns": partial(pairs, "--map"),
-    **dict.fromkeys(("free", "tags", "extra", "consider"), names),
+    **dict.fromkeys(("free", "tags", "extra", "by", "consider"), names),
     **dict.fromkeys(("data", "test"), lambda paths: [full(path) for path in paths]),
     **dict.fromkeys(PATHS, full),
 }

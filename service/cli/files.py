@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.by_column import gather, in_order, parts_of
 from engine.data.channels import check_units
 from engine.data.files import read_table, series_from
 from engine.data.series import Series
@@ -31,6 +32,7 @@ class Columns:
     extra: Sequence[str] = ()
     hold: str | None = None
     time_unit: str | None = None
+    by: Sequence[str] = ()  # columns that tell the records in one file apart
 
     @property
     def clock(self) -> tuple[str | None, float | None, str | None, str | None]:
@@ -49,23 +51,41 @@ def json_object(path: Path, otherwise: str) -> dict[str, Any]:
     return document
 
 
-def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str, list[str]]:
+def series_of(
+    path: Path, model: MixedModel, columns: Columns
+) -> tuple[list[Series], str, list[str]]:
     """A data file as the model's series, a line that says what was read as what, and what to know of it.
 
-    Which column is which channel, ``columns`` says, else ``service.columns.match``.
+    Which column is which channel, ``columns`` says, else ``service.columns.match``. One series, unless columns
+    tell the records in it apart.
     """
     table, columns = _table(path, model, columns)
     y, u = _assigned(table, model, columns)
     try:
-        series = series_from(table, y, u, *columns.clock, columns.extra).check(model)
+        parts = parts_of(table, columns.by) if columns.by else [table]
+    except SeriesError as error:
+        raise wrong(str(error)) from None
+    every = [_one(part, model, columns, y, u) for part in parts]
+    if columns.by:
+        gather(table, parts)
+        table.notes.append(in_order(table, parts))
+    notes = _notes(table, every[0], model, y | u, columns)
+    return every, _said(path, every, [*y.values(), *u.values()]), notes
+
+
+def _one(
+    table: Table, model: MixedModel, columns: Columns, y: dict[str, str], u: dict[str, str]
+) -> Series:
+    try:
+        other = [*columns.extra, *columns.by]
+        series = series_from(table, y, u, *columns.clock, other, "--by '{}'").check(model)
         if columns.extra:
             extra = np.column_stack([table.column(name) for name in columns.extra])
             series = series.replace(extra=extra, extra_names=tuple(columns.extra))
     except SeriesError as error:
         text = table.with_lines(str(error))
-        raise wrong(text if path.name in text else f"{path.name}: {text}") from None
-    notes = _notes(table, series, model, y | u, columns)
-    return series, _said(path, series, [*y.values(), *u.values()]), notes
+        raise wrong(text if table.file in text else f"{table.file}: {text}") from None
+    return series
 
 
 def inputs_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, list[str]]:
@@ -99,6 +119,7 @@ def _table(path: Path, model: MixedModel, columns: Columns) -> tuple[Table, Colu
         raise wrong(str(error)) from None
     asked = [(f"--map {channel}={column}", column) for channel, column in columns.of.items()]
     asked += [(f"--extra {column}", column) for column in columns.extra]
+    asked += [(f"--by {column}", column) for column in columns.by]
     for option, column in asked:
         if table.full(column) not in table.columns:
             there = ", ".join(table.columns)
@@ -108,6 +129,7 @@ def _table(path: Path, model: MixedModel, columns: Columns) -> tuple[Table, Colu
         of={channel: table.full(column) for channel, column in columns.of.items()},
         time=table.full(columns.time) if columns.time else None,
         extra=[table.full(column) for column in columns.extra],
+        by=[table.full(column) for column in columns.by],
     )
     return table, columns
 
@@ -117,7 +139,7 @@ def _assigned(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """{output: column}, {input: column}; members tells whether both are needed."""
     outputs = list(model.outputs) if "y" in members else []
-    other = {*columns.extra, columns.time or ""}
+    other = {*columns.extra, *columns.by, columns.time or ""}
     found = match(table, outputs, model.inputs, columns.of, other)
     for what, channels in (("output", outputs), ("input", model.inputs)):
         for channel in channels:
@@ -132,22 +154,24 @@ def _assigned(
 def _notes(
     table: Table, series: Series, model: MixedModel, read: Mapping[str, str], columns: Columns
 ) -> list[str]:
-    clock = bool(columns.time or columns.dt), columns.extra
+    clock = bool(columns.time or columns.dt), [*columns.extra, *columns.by]
     told = noted(table, series, model, read, clock, ("--dt STEP", "--time '{}'"))
     return [f"{table.file}: {one}" for one in told]
 
 
-def _said(path: Path, series: Series, read: Sequence[str]) -> str:
-    every = (
-        f"every {series.dt:g} {series.time_unit}" if series.dt is not None else "at irregular times"
-    )
+def _said(path: Path, records: Sequence[Series], read: Sequence[str]) -> str:
+    series = records[0]
+    even = all(one.dt == series.dt for one in records) and series.dt is not None
+    every = f"every {series.dt:g} {series.time_unit}" if even else "at irregular times"
+    several = f" in {len(records)} records" if len(records) > 1 else ""
     channels = [*series.y_names, *series.u_names]
     channels_read = [
         channel if channel == column else f"{channel} from column {column}"
         for channel, column in zip(channels, read, strict=True)
     ]
-    text = f"{path.name}: {len(series)} samples {every}; {', '.join(channels_read)}"
-    missing = int((~series.observed).sum())
+    samples = sum(map(len, records))
+    text = f"{path.name}: {samples} samples{several} {every}; {', '.join(channels_read)}"
+    missing = sum(int((~one.observed).sum()) for one in records)
     text += f"; {missing} missing" if missing else ""
     text += f"; inputs between samples: {series.hold}" if series.hold != "zoh" else ""
     return text

@@ -57,6 +57,14 @@ Columns = Annotated[
         help="Column of an output or input.  [the column of the channel's name]",
     ),
 ]  # fmt: skip
+By = Annotated[
+    list[str],
+    typer.Option(
+        "--by", metavar="COLUMN,...",
+        help="Column that names the record of each row, such as a subject or a batch, where several stand in "
+        "one file.",
+    ),
+]  # fmt: skip
 TimeColumn = Annotated[
     str | None, typer.Option("--time", metavar="COLUMN", help="Column of times.  [t or time]")
 ]

@@ -114,7 +114,7 @@ def test_the_command_line_finds_them_so_too(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("rain [mm],depth [1e8 m^3],clock [year]\n5,1120,1\n6,1160,2\n7,963,3\n")
     asked = Columns({"flow": "depth"}, time="clock", extra=["rain"])
-    series, said, notes = series_of(path, get_model("local-level"), asked)
+    [series], said, notes = series_of(path, get_model("local-level"), asked)
     assert notes == []
     np.testing.assert_array_equal(series.y, [[1120], [1160], [963]])
     np.testing.assert_array_equal(series.t, [1, 2, 3])
@@ -151,7 +151,7 @@ def test_a_temperature_is_no_time_where_the_model_measures_it(tmp_path, room, he
         rows = [(b, a, c) for a, b, c in rows]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]))
-    series, _, notes = series_of(path, room, Columns(given))
+    [series], _, notes = series_of(path, room, Columns(given))
     assert notes == []
     assert series.dt == 0.5
     np.testing.assert_allclose(series.y[:, 0], 20.0 + 0.1 * np.arange(9) ** 1.5)
@@ -161,10 +161,10 @@ def test_a_column_given_to_a_channel_is_no_time(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t,time,y_V\n" + "".join(f"{k},{2 * k},{k % 3}\n" for k in range(9)))
     model = get_model("local-level")
-    assert series_of(path, model, Columns({"flow": "y_V"}))[0].dt == 1.0
-    assert series_of(path, model, Columns({"flow": "t"}))[0].dt == 2.0
-    assert series_of(path, model, Columns({"flow": "t"}, time="t"))[0].dt == 1.0  # as it was asked
-    assert series_of(path, model, Columns({"flow": "y_V"}, extra=["t"]))[0].dt == 2.0
+    assert series_of(path, model, Columns({"flow": "y_V"}))[0][0].dt == 1.0
+    assert series_of(path, model, Columns({"flow": "t"}))[0][0].dt == 2.0
+    assert series_of(path, model, Columns({"flow": "t"}, time="t"))[0][0].dt == 1.0  # as it was asked
+    assert series_of(path, model, Columns({"flow": "y_V"}, extra=["t"]))[0][0].dt == 2.0
 
 
 def test_an_upload_takes_no_temperature_for_times(client):

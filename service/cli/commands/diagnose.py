@@ -20,6 +20,7 @@ def diagnose(
     free: options.Free = [],  # noqa: B006
     columns: options.Columns = [],  # noqa: B006
     time: options.TimeColumn = None,
+    by: options.By = [],  # noqa: B006
     dt: options.Step = None,
     time_unit: options.TimeUnit = None,
     hold: options.Hold = None,
