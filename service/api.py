@@ -142,8 +142,12 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         time_unit: Annotated[
             TimeUnit | None, Form(description="what times count; else what the file says")
         ] = None,
+        by: Annotated[
+            str | None, Form(max_length=200, description="column that tells records apart")
+        ] = None,
     ) -> PreviewOut:
-        return preview(file.file.read(), as_typed(file.filename or ""), t, time_unit, settings)
+        name = as_typed(file.filename or "")
+        return preview(file.file.read(), name, t, time_unit, settings, by)
 
     @api.get("/jobs", summary="Jobs, newest first or sorted")
     def jobs(caller: Caller, asked: Annotated[ListQuery, Query()]) -> JobList:

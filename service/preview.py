@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.by_column import names_records, parts_of
 from engine.data.clock import times_in, times_of
 from engine.data.files import ENDINGS, READERS
 from engine.data.stamps import candidates, counts, holds_dates
@@ -27,12 +28,18 @@ COLUMNS_SHOWN = 200
 
 
 def preview(
-    data: bytes, filename: str, time: str | None, unit: str | None, settings: Settings
+    data: bytes,
+    filename: str,
+    time: str | None,
+    unit: str | None,
+    settings: Settings,
+    by: str | None = None,
 ) -> PreviewOut:
-    """Columns with their range, thinned values and gaps. Raises Problem 422 about ``file`` or ``t``.
+    """Columns with their range, thinned values and gaps. Raises Problem 422 about ``file``, ``t`` or ``by``.
 
     ``time`` names the column of time stamps; None takes that which a job would. ``unit`` is what times count,
-    None for what the file says.
+    None for what the file says. Where ``by`` names the column that tells records apart, the times are those of
+    the first.
     """
     table, max_samples = _read(data, filename, settings.max_values), settings.max_samples
     longest = max((len(column) for column in table.columns.values()), default=0)
@@ -43,6 +50,8 @@ def preview(
     if time is None and table.dt is None:
         time = next((name for name in candidates(table) if name in table.columns), None)
     time = table.full(time) if time else time
+    if by and table.full(by) not in table.columns:
+        raise invalid("by", f"there is no column '{by}'; there are {table.there()}")
     if time and time not in table.columns:
         raise invalid("t", f"there is no column '{time}'; there are {table.there()}")
     unit = unit or table.time_unit or clock_of(time or "") or SECOND
@@ -51,7 +60,7 @@ def preview(
         rows=longest,
         dt=table.dt,
         time_unit=unit,
-        time=_time(table, time, unit) if time else None,
+        time=_time(table, time, unit, by) if time else None,
         columns=[_column(table, name, unit) for name in list(table.columns)[:COLUMNS_SHOWN]],
         ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS_SHOWN:])],
     )
@@ -69,14 +78,21 @@ def _read(data: bytes, filename: str, max_values: int) -> Table:
         raise invalid("file", str(error)) from None
 
 
-def _time(table: Table, name: str, unit: str) -> TimeOut:
+def _time(table: Table, name: str, unit: str, by: str | None) -> TimeOut:
     """The times as a job has them; what it would be refused for is the problem."""
-    values, problem = np.zeros(0), None
+    values, problem, part = np.zeros(0), None, table
     try:
-        stamps = table.times(name)
-        values = times_of(stamps, None, len(stamps), unit)
+        each = []
+        for part in parts_of(table, [by]) if by else [table]:
+            stamps = part.times(name)
+            each.append(times_of(stamps, None, len(stamps), unit))
+        values = each[0]
     except SeriesError as error:
-        problem = table.with_lines(str(error).removeprefix("t "))
+        problem = part.with_lines(str(error).removeprefix("t "))
+        column = "" if by else names_records(table, name, ())
+        problem += (
+            f". If the column '{column}' names the records, choose it as such" if column else ""
+        )
     steps = np.diff(values)
     good = problem is None and steps.size > 0
     return TimeOut(

@@ -883,3 +883,31 @@ def test_the_guide_is_there_without_a_network(visit):
     assert page.locator(".catalogue svg").count() > 10
     page.set_viewport_size({"width": 360, "height": 700})
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
+
+
+def test_one_file_with_the_records_of_several_subjects(visit, tmp_path):
+    """Times that fall back are told, with the column that may tell records apart, which is then chosen."""
+    flow = nile().y[:60, 0].tolist()
+    path = write(
+        tmp_path / "all.csv",
+        Subject=[f"s{k // 20}" for k in range(60)],
+        t=3 * [*range(20)],
+        flow=flow,
+    )
+    page = visit("/")
+    ready(page)
+    page.select_option("#model", "local-level")
+    page.set_input_files("#file", path)
+    page.wait_for_selector("#time-facts.field-error")
+    assert "If the column 'Subject' names the records" in page.inner_text("#time-facts")
+    page.select_option("#by", "Subject")
+    page.wait_for_selector("#time-facts.hint")
+    assert "0 to 19 s" in page.inner_text("#time-facts")
+    page.click("#options summary")
+    page.fill("#estimate-iterations", "2")
+    page.fill("#estimate-particles", "10")
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    job = page.url.rpartition("/")[2]
+    asked = httpx.get(f"{visit.address}/jobs/{job}/request").json()
+    assert [len(one["t"]) for one in asked["series"]] == [20, 20, 20]

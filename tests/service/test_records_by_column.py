@@ -62,3 +62,17 @@ def test_a_table_given_twice_is_still_refused(client, text):
     file = ("file", ("flows.csv", text))
     answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=[file])
     assert answer.json()["errors"][0]["field"] == "series[1].file"
+
+
+def test_a_preview_has_the_times_of_the_first_record(client, text):
+    def look(**form):
+        answer = client.post("/preview", data=form, files={"file": ("flows.csv", text)})
+        return answer.status_code, answer.json()
+
+    status, shown = look()
+    assert status == 200
+    assert "If the column 'Subject' names the records" in shown["time"]["problem"]
+    status, shown = look(by="Subject")
+    assert shown["time"]["problem"] is None
+    assert shown["time"]["last"] - shown["time"]["first"] < 8.0
+    assert look(by="Patient")[1]["errors"][0]["field"] == "by"

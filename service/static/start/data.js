@@ -18,7 +18,7 @@ export class DataCard {
     this.charts = [];
     this.units = []; // of the model: [name, unit]
     by("file").addEventListener("change", () => this.take([...by("file").files]));
-    by("time").addEventListener("change", () => this.look());
+    for (const id of ["time", "by"]) by(id).addEventListener("change", () => this.look());
     by("dt").addEventListener("input", () => {
       this.showFacts();
       this.draw();
@@ -93,7 +93,7 @@ export class DataCard {
     const [first] = this.files;
     this.complainAt('[data-field~="t"]', "");
     try {
-      if (by("time").value) first.preview = await preview(first.file, first.name, by("time").value, unit);
+      if (by("time").value || by("by").value) first.preview = await preview(first.file, first.name, by("time").value, unit, by("by").value);
       by("time-unit").value = first.preview.time_unit;
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
@@ -109,6 +109,8 @@ export class DataCard {
     by("time").replaceChildren(element("option", { value: "" }, "samples at a fixed step"), ...names);
     by("time").value = time ? time.column : ""; // a bad one too: what is wrong with it is told
     this.found = by("time").value;
+    const kinds = columns.map(({ name }) => element("option", { value: name }, `told apart by ${name}`));
+    by("by").replaceChildren(element("option", { value: "" }, "one in each file"), ...kinds);
     if (dt !== null) by("dt").value = "";
     by("dt").placeholder = String(dt ?? 1);
     by("time-unit").value = this.files[0].preview.time_unit;
@@ -148,7 +150,7 @@ export class DataCard {
     this.showFacts();
     const columns = this.columns();
     const usable = columns.filter((one) => !one.problem).map((one) => one.name);
-    const guessed = this.job ? new Map() : match(this.channels, usable.filter((name) => name !== by("time").value), new Set(columns.filter((one) => one.counts).map((one) => one.name)));
+    const guessed = this.job ? new Map() : match(this.channels, usable.filter((name) => name !== by("time").value && name !== by("by").value), new Set(columns.filter((one) => one.counts).map((one) => one.name)));
     this.selects = new Map();
     const rows = this.channels.map((channel, i) => {
       const key = `${channel.member}.${channel.name}`;
@@ -164,7 +166,7 @@ export class DataCard {
 
   // Columns that are no channel of the model.
   offerExtra() {
-    const used = new Set([...this.mapping.values(), by("time").value]);
+    const used = new Set([...this.mapping.values(), by("time").value, by("by").value]);
     const names = this.job ? spare(this.job.series[0], this.channels)
       : this.columns().filter((one) => !one.problem && !one.missing && !used.has(one.name)).map((one) => one.name);
     const open = this.channels.some(({ member, name }) => !this.mapping.get(`${member}.${name}`));
@@ -270,6 +272,7 @@ export class DataCard {
       const { t, dt } = this.job.series[0];
       return (row) => (t ? t[Math.min(Math.max(Math.round(row), 0), t.length - 1)] : row * (dt ?? 1));
     }
+    if (by("by").value) return (row) => row; // records, one after the other
     const time = columns.get(by("time").value);
     const step = this.step() || 1;
     if (!time?.row.length || this.files[0].preview.time?.problem) return (row) => row * step;
@@ -317,6 +320,7 @@ export class DataCard {
     }
     const how = { ...columns, time_unit: by("time-unit").value.trim() || "s" };
     if (by("hold").value) how.hold = by("hold").value;
+    if (by("by").value) how.by = by("by").value;
     if (this.extra.size) how.extra = [...this.extra];
     const { time } = this.files[0].preview;
     const spared = by("time").value !== this.found && !this.channels.some(({ member, name }) => columns[member][name] === this.found);
@@ -348,11 +352,12 @@ export class DataCard {
   }
 }
 
-function preview(file, name, time, unit) {
+function preview(file, name, time, unit, records) {
   const form = new FormData();
   form.append("file", file, name);
   if (time) form.append("t", time);
   if (unit) form.append("time_unit", unit);
+  if (records) form.append("by", records);
   return post("/preview", form);
 }
 
