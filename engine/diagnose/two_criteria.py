@@ -101,15 +101,17 @@ def ask_both(
     kept: Kept,
 ) -> TwoAnswers:
     """Both answers; ``fine`` are the ``records`` with as many steps a sample as the model as given needs."""
-    found = _with_these_steps(model, fine, theta, options, clock, kept)
-    while found.coarse:
-        fine = fine.with_shorter_steps(records, found.steps)
+    found = last = _with_these_steps(model, fine, theta, options, clock, kept)
+    while last.coarse:
+        fine = fine.with_shorter_steps(records, last.steps)
         own = kept.apart(f"{fine.k} steps a sample")
-        again = _with_these_steps(model, fine, theta, options, clock, own)
-        names = again.of_free_run or again.causes.verdict in NAMES
+        last = _with_these_steps(model, fine, theta, options, clock, own)
+        if last.causes.search.by_the_steps and last.coarse:
+            continue  # it was left half-way for still shorter ones, and is no answer
+        names = last.of_free_run or last.causes.verdict in NAMES
         if found.of_free_run and not names:
             break
-        found = again
+        found = last
     return found
 
 
