@@ -67,7 +67,7 @@ from engine.diagnose.steps.substeps import is_enough, prepare
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
-from engine.diagnose.wider_set import widened
+from engine.diagnose.wider_set import widened, widened_by_records
 from engine.errors import OptionError, check_count
 from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
 from engine.forked import in_processes
@@ -265,7 +265,7 @@ def diagnose(  # noqa: PLR0913
         if better:
             judged = unseen.judge(causes, overtaken(judged.free_run, better), clock.progress)
             beside = _beside_others(judged, shown)
-    judged = widened(judged, beside)
+    judged = widened_by_records(widened(judged, beside), searched)
     after = judged.after
     notes.extend(judged.notes)
     if records.kept_back:
@@ -350,6 +350,7 @@ def diagnose(  # noqa: PLR0913
         later=later_of(apart(searched)),
         starts=starts_of(apart(searched)),
         unsearched=unsearched,
+        by_record=judged.by_record,
     )
 
 

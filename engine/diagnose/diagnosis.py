@@ -109,6 +109,8 @@ class Diagnosis(Shown):
         The answer beside the other candidates, over the horizon and over budgets of process noise.
     unsearched : Unsearched or None
         Where nothing was found: an event that the screen sees in the rows held out, which were not searched.
+    by_record : str
+        Where several records have parameters of their own, a sentence that says which; "" where none is seen.
     asked : Asked or None
         The arguments and the finished parts, by which :func:`engine.save` keeps the diagnosis.
     """
@@ -138,6 +140,7 @@ class Diagnosis(Shown):
     starts: tuple[float, ...] = ()
     p_bootstrap_at_floor: bool = False
     unsearched: Unsearched | None = None
+    by_record: str = ""
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot
         if self.asked is None:

@@ -60,6 +60,7 @@ class Judged:
     search: Search
     free_run: SecondOpinion
     notes: tuple[str, ...] = ()
+    by_record: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,8 @@ class HeldOut:
         if word is None:
             return judged
         verdict = Verdict.UNKNOWN if word.refutes else judged.verdict
-        return replace(judged, verdict=verdict, notes=(*judged.notes, word.sentence))
+        notes = *judged.notes, word.sentence
+        return replace(judged, verdict=verdict, notes=notes, by_record=word.short)
 
     def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
         search, free_run = found.search, asked.search

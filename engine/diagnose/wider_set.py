@@ -3,20 +3,30 @@
 The likelihood one step ahead weighs errors by the noise that each model has for itself. Where that prefers a
 name by too little to rule another one out, and the other one predicts better one step ahead, farther on and in
 free run, the record has not decided.
+
+Nor have several records where another name with values of their own explains as much. Growth that its size
+limits, each tree at a limit of its own, is by one set of values less likely than growth that falls with time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from engine.data.series import Series
 from engine.diagnose.held_out import Judged
+from engine.diagnose.judging.by_record import own_values
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import NAMES
 from engine.diagnose.judging.verdict import RULED_OUT, named_by
 from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.refits.refitted import Refit
-from engine.diagnose.refits.rounds import Round
+from engine.diagnose.refits.rounds import MARGIN, Round
 from engine.words import enumerated
+
+ASKED = 6  # names, the likeliest first, that are asked whether records have values of their own beside them
 
 
 def widened(judged: Judged, beside: OverHorizon | None) -> Judged:
@@ -31,13 +41,56 @@ def widened(judged: Judged, beside: OverHorizon | None) -> Judged:
     if not more:
         return judged
     wide = [next(one for one in near if one.effect.name == name) for name in more]
-    rounds = (replace(found, equivalent=(*found.equivalent, *wide)), *judged.search.rounds[1:])
-    search = replace(judged.search, rounds=rounds)
     are = "is" if len(more) == 1 else "are"
     note = (
         f"{enumerated([*more])} {are} less likely than {first.effect.name}, by too little to be ruled out, and "
         "better at every horizon, the free run included: the record does not tell them apart."
     )
+    return _with(judged, wide, note)
+
+
+def widened_by_records(judged: Judged, series: Series) -> Judged:
+    """The answer with names that explain as much as its first one, once records have values of their own.
+
+    ``series`` are the records that the likelihood has searched.
+    """
+    if judged.verdict not in NAMES or judged.free_run.decides or not series.begins:
+        return judged
+    found = judged.search.rounds[0]
+    if not found.equivalent:
+        return judged
+    first, cost = found.refits[0], float(np.log(series.n_measured))
+
+    def with_own(one: Refit) -> tuple[float, tuple[str, ...]]:
+        own = own_values(one.fit, series)
+        return (
+            (one.score, ())
+            if own is None
+            else (one.score + own.gain - own.further * cost, own.names)
+        )
+
+    others = [one for one in _followed(found) if one.effect.family != "noise"][:ASKED]
+    if not others:
+        return judged
+    least = with_own(first)[0] - MARGIN
+    each = [(one, *with_own(one)) for one in others]
+    near = [(one, names) for one, score, names in each if names and score >= least]
+    if not near:
+        return judged
+    what = [f"{one.effect.name} with values of {enumerated([*names])}" for one, names in near]
+    note = (
+        f"Where records may have values of their own, {enumerated(what)} for each of them "
+        f"{'explains' if len(near) == 1 else 'explain'} as much as {first.effect.name}: these data do not tell "
+        "which it is."
+    )
+    return _with(judged, [one for one, _ in near], note)
+
+
+def _with(judged: Judged, wide: Sequence[Refit], note: str) -> Judged:
+    """The answer with more names in its first set, and why."""
+    found = judged.search.rounds[0]
+    rounds = (replace(found, equivalent=(*found.equivalent, *wide)), *judged.search.rounds[1:])
+    search = replace(judged.search, rounds=rounds)
     return replace(
         judged,
         verdict=Verdict.SET,
@@ -50,12 +103,20 @@ def widened(judged: Judged, beside: OverHorizon | None) -> Judged:
 def _not_ruled_out(found: Round) -> list[Refit]:
     """Refits behind the leading one of a round by too little, that are not in its set."""
     first = found.refits[0]
+    return [
+        one
+        for one in _followed(found)
+        if min(first.gain - one.gain, first.score - one.score) <= RULED_OUT
+    ]
+
+
+def _followed(found: Round) -> list[Refit]:
+    """Refits of a round that were followed to their end and gain something, but are not in its set."""
     known = (*found.equivalent, *found.contradicted)
     return [
         one
         for one in found.refits
         if one not in known
         and not (one.fit.given_up or one.effect.traits.outliers)
-        and min(first.gain - one.gain, first.score - one.score) <= RULED_OUT
         and one.gain > 0.0
     ]

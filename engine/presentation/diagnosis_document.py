@@ -91,6 +91,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "faults": list(d.faults),
         "stopped": list(d.stopped),
         "unsearched": d.unsearched and {**asdict(d.unsearched), "sentence": d.unsearched.sentence},
+        "by_record": d.by_record,
         "notes": list(d.notes),
         "seconds": d.seconds,
         "page": page(d),

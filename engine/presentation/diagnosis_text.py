@@ -82,7 +82,9 @@ def _head(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(f"Look at the record first. {fault}", "  ")
     for said in d.stopped:
         yield from _wrapped(said, "  ")
-    if d.verdict.value == "unknown" and (known := _known(d)):
+    if d.by_record:
+        yield from _wrapped(d.by_record, "  ")
+    elif d.verdict.value == "unknown" and (known := _known(d)):
         yield from _wrapped(known, "  ")
     for k, cause in enumerate(d.causes):
         closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""

@@ -89,10 +89,14 @@ class _Point:
 
 @dataclass(frozen=True)
 class Word:
-    """A sentence on records that differ; ``refutes`` whether no name and no nothing holds beside it."""
+    """A sentence on records that differ; ``refutes`` whether no name and no nothing holds beside it.
+
+    ``short`` is what comes first of it, without the values.
+    """
 
     sentence: str
     refutes: bool
+    short: str
 
 
 def word_of_records(
@@ -114,10 +118,11 @@ def word_of_records(
     own = own_values(after if named else before, series)
     if own is not None and noises:
         common = f"What common values get wrong looks like {enumerated([*noises])}, so no cause is named."
-        return Word(f"{_said(own, numbers, named)} {common}", True)
+        return Word(f"{_said(own, numbers, named)} {common}", True, _in_short(own, named))
     if own is None and not named:
         return None
     said = "" if own is None else _said(own, numbers, named)
+    short = "" if own is None else _in_short(own, named)
     if named:
         alone = own_values(before, series)
         gained = 0.0 if alone is None else alone.gain - _cost(alone.further, series)
@@ -127,29 +132,40 @@ def word_of_records(
                 f"{_said(alone, numbers, ())} That explains more than {enumerated([*named])}, so no cause is "
                 "named."
             )
+            short = _in_short(alone, ())
         elif own is None:
             return None
         elif opposite := own.of_both_signs(sizes):
             either = (
                 f"In some records {opposite} is surely above 0, in others below: no cause is named."
             )
-            return Word(f"{said} {either}", True)
+            return Word(f"{said} {either}", True, short)
         else:
-            return Word(f"{said} The sizes of what was found are those of a common fit.", False)
+            common = "The sizes of what was found are those of a common fit."
+            return Word(f"{said} {common}", False, short)
     return Word(
         f"{said} Either they differ, or something that the model lacks does: diagnose a record by itself, or "
         "make what is known to differ an input of the model.",
         True,
+        short,
     )
 
 
 def _said(own: OwnValues, numbers: Sequence[int], named: Sequence[str]) -> str:
     """The values that records have, beside what was ``named``."""
+    return f"{_differ(own, named)}: {own.in_words(numbers)}."
+
+
+def _in_short(own: OwnValues, named: Sequence[str]) -> str:
+    return f"{_differ(own, named)}. The notes tell the value of each."
+
+
+def _differ(own: OwnValues, named: Sequence[str]) -> str:
     beside = f" beside {enumerated([*named])}" if named else ""
     return (
         f"The records do not have the same {enumerated([*own.names])}{beside} "
         f"({probability(own.p_value)}; 2 x log-likelihood gained {number(own.gain)} by {own.further} values "
-        f"more): {own.in_words(numbers)}."
+        "more)"
     )
 
 

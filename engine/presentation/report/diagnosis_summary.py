@@ -44,7 +44,8 @@ def verdict(d: Document) -> Html:
             names = [tag("p", prose(unsearched["sentence"])), *names]
     faults = [tag("p", f"Look at the record first. {prose(one)}") for one in d.get("faults", ())]
     stopped = [tag("p", prose(one)) for one in d.get("stopped", ())]
-    return join([said, *faults, *stopped, *names])
+    differ = [tag("p", prose(d["by_record"]))] if d.get("by_record") else []
+    return join([said, *faults, *stopped, *differ, *names])
 
 
 def _known(d: Document) -> str:

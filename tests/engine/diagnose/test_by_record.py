@@ -185,12 +185,16 @@ def test_what_shared_parameters_make_up_for_is_no_value_of_a_record():
 
 
 @pytest.mark.long
-def test_a_diagnosis_says_that_persons_differ():
+def test_a_diagnosis_says_that_persons_differ(tmp_path):
     records = persons(OWN, 4)
     asked = ["drag", "variance", "parameter-drift"]
     found = engine.diagnose(dose(k=0.5, r=4e-4), records, effects=asked, held_out=0, processes=1)
     assert found.verdict.value == "unknown"
     assert any("do not have the same k" in note for note in found.notes)
+    assert found.by_record.startswith("The records do not have the same k")
+    head = str(found).partition("1. What is wrong")[0]
+    assert "do not have the same k" in head  # which the page says before what comes closest
+    assert found.report(tmp_path / "a.html").read_text().count("do not have the same k") == 2
     alike = engine.diagnose(
         dose(k=0.5, r=4e-4), persons(SAME, 4), effects=asked, held_out=0, processes=1
     )

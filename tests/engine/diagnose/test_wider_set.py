@@ -3,6 +3,7 @@
 import importlib
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
@@ -13,7 +14,7 @@ from engine.diagnose.over_horizon import Candidate, OverHorizon
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
-from engine.diagnose.wider_set import widened
+from engine.diagnose.wider_set import widened, widened_by_records
 from tests.engine.hidden_effects import DRIVE
 
 module = importlib.import_module("engine.diagnose.wider_set")
@@ -57,3 +58,56 @@ def test_what_is_behind_by_little_and_better_at_every_horizon_is_in_the_set(
     said = ["cubic:speed is less likely than drag:speed, by too little" in n for n in wide.notes]
     assert said == ([True] if verdict is Verdict.SET else [])
     assert widened(judged, None) is judged
+
+
+@pytest.mark.parametrize(
+    ("gain", "of_the_first", "verdict"),
+    [
+        (29.0, None, Verdict.SET),  # four values more, each log(50)
+        (25.0, None, Verdict.NAMED),
+        (29.0, 29.0, Verdict.NAMED),  # and the first one has such values as well
+        (None, None, Verdict.NAMED),
+    ],
+)
+def test_a_name_that_explains_as_much_where_records_have_values_of_their_own_is_in_the_set(
+    gain, of_the_first, verdict, monkeypatch
+):
+    """Trees whose growth ends at limits of their own: by one limit for all, growth that falls with time led."""
+    monkeypatch.setattr(module, "named_by", lambda search: search.rounds[0].equivalent)
+    setting = Setting(DRIVE)
+    drift, drag, left, noise = (
+        Refit(
+            make_effect(name, setting),
+            SimpleNamespace(given_up=name == "cubic:speed"),
+            score,
+            score,
+        )
+        for name, score in (
+            *(("ramp:speed", 40.0), ("drag:speed", 26.0)),
+            *(("cubic:speed", 26.0), ("variance:speed->time", 39.0)),
+        )
+    )
+    own = {id(drift.fit): of_the_first, id(drag.fit): gain, id(left.fit): 99.0, id(noise.fit): 99.0}
+
+    def own_values(fit, series):
+        gain = own[id(fit)]
+        return (
+            None if gain is None else SimpleNamespace(gain=gain, names=("drag_speed",), further=4)
+        )
+
+    monkeypatch.setattr(module, "own_values", own_values)
+    round_ = Round(None, (drift, noise, drag, left), None, (drift,))
+    asked = SimpleNamespace(decides=False)
+    search = Search(None, drift.fit, (round_,), False)
+    judged = Judged(Verdict.NAMED, (drift,), None, drift.fit, None, search, asked)
+    records = SimpleNamespace(begins=(10, 20, 30, 40), n_measured=50)
+    assert 26.0 + 25.0 - 4 * np.log(50) < 38.0 < 26.0 + 29.0 - 4 * np.log(50)
+    wide = widened_by_records(judged, records)
+    assert wide.verdict is verdict
+    if verdict is Verdict.SET:
+        assert [one.effect.name for one in wide.causes] == ["ramp:speed", "drag:speed"]
+        assert (
+            "drag:speed with values of drag_speed for each of them explains as much"
+            in wide.notes[-1]
+        )
+    assert widened_by_records(judged, SimpleNamespace(begins=())) is judged
