@@ -169,6 +169,7 @@ CASES = {
     "time-step": ("dt", {"time_step_dt": 1.3}),
     "held": ("load", {"held_load": 0.4}),
     "start": ("speed", {"start_speed": 2.0}),
+    "start-scatter": ("speed", {"start_scatter_speed": -2.0}),
 }
 
 
@@ -195,6 +196,7 @@ SWING = engine.MixedModel(
 
 
 ON_SWING = {"time-step", "cogging"}  # kinds that need a real time step, or a position
+OF_RECORDS = {"start-scatter"}  # kinds that several records tell, see test_start_scatter
 SEVERAL_MASSES = {
     "input-coulomb",
     "input-drag",

@@ -79,7 +79,7 @@ def held_beside(fit: QuasiFit, names: Sequence[str]) -> list[str]:
 def _undetermined(refit: Refit, may: Sequence[str]) -> str:
     effect = refit.effect
     # of a share or a variance the error is no Gaussian one
-    if effect.traits.outliers or effect.one_sided:
+    if effect.traits.outliers or effect.traits.of_starts or effect.one_sided:
         return ""
     amplitudes = [effect.size.name, f"{effect.size.name}_sine"]
     fit = refit.fit.holding(held_beside(refit.fit, may))

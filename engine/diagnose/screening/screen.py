@@ -198,7 +198,7 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         if test.known is not None:
             observed.append(test.known[1])
             drawn.append(rng.random(n))
-        elif test.tries > 1 or test.effect.traits.of_record:
+        elif test.tries > 1 or test.effect.traits.of_record or test.effect.traits.of_starts:
             # the best of many places, nearly independent: Bonferroni; or made of the first readings alone,
             # whose signs say nothing
             observed.append(min(1.0, test.tries * float(chi2_sf(found.max(), test.degrees))))

@@ -30,6 +30,7 @@ from tests.engine.hidden_effects import (
     CASES,
     DRIVE,
     DT,
+    OF_RECORDS,
     ON_SWING,
     SEVERAL_MASSES,
     T,
@@ -74,7 +75,7 @@ def test_at_size_zero_the_extended_model_is_the_model():
     y, _ = noise_free(model, np.asarray(model.theta()), series, x1)
     base = moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
     effects = all_effects(setting)
-    elsewhere = BY_NAME_ONLY | ON_SWING | SEVERAL_MASSES
+    elsewhere = BY_NAME_ONLY | ON_SWING | SEVERAL_MASSES | OF_RECORDS
     assert {e.kind for e in effects} == set(effect_kinds()) - elsewhere
     for effect in effects:
         extended = effect.apply(model)
@@ -154,11 +155,12 @@ def explains(found):
 
 def sought(quick=()):
     """The kinds that are looked for."""
-    kinds = sorted(set(CASES) - BY_NAME_ONLY - BESIDE_DRIFTS - SEVERAL_MASSES - {"latent"})
+    elsewhere = BY_NAME_ONLY | BESIDE_DRIFTS | SEVERAL_MASSES | OF_RECORDS | {"latent"}
+    kinds = sorted(set(CASES) - elsewhere)
     return [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in quick)) for kind in kinds]
 
 
-@pytest.mark.parametrize("kind", sorted(set(CASES) - BY_NAME_ONLY))
+@pytest.mark.parametrize("kind", sorted(set(CASES) - BY_NAME_ONLY - OF_RECORDS))
 def test_every_kind_can_be_hidden(kind):
     model, series, name = case(kind, seed=5)
     assert make_effect(name, Setting(model)).name == name

@@ -1,4 +1,4 @@
-"""A record that does not begin where the model says: another mean of the first state."""
+"""Records that do not begin where the model says: another mean of the first state, or another scatter."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from engine.diagnose.effects.channels import Kind, at_states
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
+from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Density, Gaussian, MixedModel, Parameter
 
 FROM_THE_MODELS = "how far from the model's it begins"
+RECORDS = 4  # whose first states tell how far they scatter
 
 
 @dataclass(frozen=True)
@@ -80,4 +82,56 @@ def _start(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
-KINDS: list[Kind] = [at_states("start", _start)]
+def scatter_otherwise(model: MixedModel, state: str) -> MixedModel:
+    """Standard deviation of ``state``_1 times exp(own parameter), its correlations as they are."""
+    split, na = Split(model), model.na
+    row = [*model.nonlinear, *model.linear].index(state)
+
+    def scaled(cov: Array, at: int, factor: float) -> Array:
+        cov = np.array(cov, dtype=float)
+        cov[..., at, :] *= factor
+        cov[..., :, at] *= factor
+        return cov
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        start, factor = model.start(record), float(np.exp(own[0]))
+        if row < na:
+            mean, cov = start.density.mean, start.density.cov  # type: ignore[attr-defined]
+            return Gaussian(mean, scaled(cov, row, factor)), start.z1, start.P1
+
+        def P1(a: Array) -> Array:
+            return scaled(start.linear(a)[1], row - na, factor)
+
+        return start.density, start.z1, P1 if callable(start.P1) else P1(np.zeros((1, na)))
+
+    return on_base(model, split, initial=initial)
+
+
+def _scatter(setting: Setting, channel: str, name: str) -> Effect | None:
+    """Of many records: a first covariance is often a guess, for which other effects would make up."""
+    model = setting.model
+    if len(setting.starts) < RECORDS:
+        return None
+    theta = model.theta() if setting.record is None else model.theta(setting.record.theta)
+    start = model.start(model.record(theta))
+    if not isinstance(start.density, Gaussian):
+        return None
+    _, cov = moments_of_first(model, model.record(theta))
+    row = [*model.nonlinear, *model.linear].index(channel)
+    if not cov[row, row] > 0.0:
+        return None
+    return Effect(
+        "start-scatter",
+        channel,
+        "time",
+        f"first values of {channel} that scatter otherwise, from record to record, than the model says",
+        f"std of {channel} at the first sample of each record times exp({name})",
+        (Parameter(name, 0.0, "1", (-4.0, 6.0), "log ratio of standard deviations"),),
+        lambda model: scatter_otherwise(model, channel),
+        look_alikes={"start": "moves them all"},
+        traits=Traits(plainness=0, swallowed=True, of_starts=True),
+    )
+
+
+KINDS: list[Kind] = [at_states("start", _start), at_states("start-scatter", _scatter)]
