@@ -38,7 +38,7 @@ class Traits:
     neither of these), where the kind is natural. ``says_hold``: what a series may say instead, see
     :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
     parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
-    ``of_starts``: it says how records begin, as their first readings alone tell.
+    ``of_starts``: it says how far apart records begin, as their first readings alone tell.
     ``foreseen``: between which values its size is if it is the cause, where that is known before it is fitted.
     ``whole``: it is a delay whose size is the mean, and all of it, where it is there, is so late; its second
     parameter says how late its latest part is. ``bends``: it is looked for beside a drift that was found, which

@@ -7,6 +7,7 @@ import engine
 from engine.data.joined import in_turn, together
 from engine.diagnose import all_effects
 from engine.diagnose.effects.of_series import setting_for
+from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.first_state import moments_of_first
 
@@ -86,18 +87,32 @@ def test_a_record_alone_and_a_first_state_that_is_known_have_none():
     assert not effects_of(tank(spread=0.0), together(in_turn(records(0.1))))
 
 
+ASKED = ["start-scatter", "start", "force", "drag", "parameter-drift"]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("scatter", [0.05, 6.0])
-def test_it_is_named_where_records_begin_closer_together_or_farther_apart(scatter):
-    """Another effect would make up for it: a sensor whose gain is nothing, say."""
-    asked = ["start-scatter", "gain", "start", "force", "drag", "parameter-drift"]
-    found = engine.diagnose(tank(), records(scatter), effects=asked, held_out=0, processes=1)
+def test_it_is_named_where_records_begin_farther_apart():
+    found = engine.diagnose(tank(), records(6.0), effects=ASKED, held_out=0, processes=1)
     assert found.causes[0].effect == "start-scatter:level"
     assert found.verdict.value in ("named", "set")
 
 
 @pytest.mark.long
-def test_where_they_begin_as_the_model_says_nothing_is_found():
-    asked = ["start-scatter", "gain", "start", "force", "drag"]
-    found = engine.diagnose(tank(), records(1.5), effects=asked, held_out=0, processes=1)
+@pytest.mark.parametrize("scatter", [1.5, 0.05])
+def test_nothing_is_found_where_they_begin_as_the_model_says_or_closer_together(scatter):
+    found = engine.diagnose(tank(), records(scatter), effects=ASKED, held_out=0, processes=1)
     assert found.verdict.value == "nothing"
+
+
+@pytest.mark.long
+def test_that_they_begin_closer_together_is_a_rival_of_what_makes_up_for_it():
+    """A sensor that makes all first readings alike, whatever the process noise would have to be."""
+    model, series = tank(), together(in_turn(records(0.05, 30)))
+    fit = quasi_ml(model, series)
+    effects = effects_of(model, series, ["start-scatter", "gain"])
+    refits = {}
+    for effect in effects:
+        start = [*np.asarray(fit.theta), -0.5, *effect.probes[0]]
+        free = [*fit.free, effect.size.name]
+        refits[effect.kind] = quasi_ml(effect.apply(model), series, start, free).log_likelihood
+    assert refits["start-scatter"] > max(refits["gain"], fit.log_likelihood + 40.0)

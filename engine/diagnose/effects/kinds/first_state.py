@@ -109,7 +109,10 @@ def scatter_otherwise(model: MixedModel, state: str) -> MixedModel:
 
 
 def _scatter(setting: Setting, channel: str, name: str) -> Effect | None:
-    """Of many records: a first covariance is often a guess, for which other effects would make up."""
+    """Of many records: a first covariance is often a guess, for which other effects would make up.
+
+    That records begin closer together than it says raises no alarm: it is a rival of what else does.
+    """
     model = setting.model
     if len(setting.starts) < RECORDS:
         return None
@@ -130,7 +133,7 @@ def _scatter(setting: Setting, channel: str, name: str) -> Effect | None:
         (Parameter(name, 0.0, "1", (-4.0, 6.0), "log ratio of standard deviations"),),
         lambda model: scatter_otherwise(model, channel),
         look_alikes={"start": "moves them all"},
-        traits=Traits(plainness=0, swallowed=True, of_starts=True),
+        traits=Traits(plainness=0, of_starts=True),
     )
 
 
