@@ -19,14 +19,20 @@ from engine.data.series import Series
 from engine.diagnose.held_out import Judged
 from engine.diagnose.judging.by_record import own_values
 from engine.diagnose.judging.findings import Verdict
-from engine.diagnose.judging.judgement import NAMES
+from engine.diagnose.judging.judgement import NAMES, has_tails
 from engine.diagnose.judging.verdict import RULED_OUT, named_by
 from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import MARGIN, Round
+from engine.estimation.quasi_ml import QuasiFit
 from engine.words import enumerated
 
-ASKED = 6  # names, the likeliest first, that are asked whether records have values of their own beside them
+ASKED = 8  # names, the likeliest first, that are asked whether records have values of their own beside them
+PHYSICAL = (
+    "state",
+    "measurement",
+    "input",
+)  # families of names of which records may have values of their own
 
 
 def widened(judged: Judged, beside: OverHorizon | None) -> Judged:
@@ -56,34 +62,34 @@ def widened_by_records(judged: Judged, series: Series) -> Judged:
     """
     if judged.verdict not in NAMES or judged.free_run.decides or not series.begins:
         return judged
-    found = judged.search.rounds[0]
-    if not found.equivalent:
+    found, named = judged.search.rounds[0], [r for r in judged.search.rounds if r.equivalent]
+    others = [one for one in _rivals(found) if one.effect.family in PHYSICAL][:ASKED]
+    if not found.equivalent or not others or has_tails(judged.search):
         return judged
-    first, cost = found.refits[0], float(np.log(series.n_measured))
+    cost, alone = float(np.log(series.n_measured)), len(named) == 1
 
-    def with_own(one: Refit) -> tuple[float, tuple[str, ...]]:
-        own = own_values(one.fit, series)
-        return (
-            (one.score, ())
-            if own is None
-            else (one.score + own.gain - own.further * cost, own.names)
-        )
+    def with_own(fit: QuasiFit, score: float) -> tuple[float, tuple[str, ...]]:
+        own = own_values(fit, series)
+        return (score, ()) if own is None else (score + own.gain - own.further * cost, own.names)
 
-    others = [one for one in _followed(found) if one.effect.family != "noise"][:ASKED]
-    if not others:
-        return judged
-    least = with_own(first)[0] - MARGIN
-    each = [(one, *with_own(one)) for one in others]
+    final, first = judged.search.final, found.refits[0]
+    gained = 2.0 * (final.log_likelihood - judged.search.base.log_likelihood)
+    costs = sum(r.refits[0].gain - r.refits[0].score for r in named)
+    least = with_own(*((first.fit, first.score) if alone else (final, gained - costs)))[0] - MARGIN
+    each = [(one, *with_own(one.fit, one.score)) for one in others]
     near = [(one, names) for one, score, names in each if names and score >= least]
     if not near:
         return judged
     what = [f"{one.effect.name} with values of {enumerated([*names])}" for one, names in near]
+    which = "these data do not tell which it is" if alone else "no cause is named"
     note = (
         f"Where records may have values of their own, {enumerated(what)} for each of them "
-        f"{'explains' if len(near) == 1 else 'explain'} as much as {first.effect.name}: these data do not tell "
-        "which it is."
+        f"{'explains' if len(near) == 1 else 'explain'} as much as "
+        f"{enumerated([r.refits[0].effect.name for r in named])}: {which}."
     )
-    return _with(judged, [one for one, _ in near], note)
+    if alone:
+        return _with(judged, [one for one, _ in near], note)
+    return replace(judged, verdict=Verdict.UNKNOWN, notes=(*judged.notes, note))
 
 
 def _with(judged: Judged, wide: Sequence[Refit], note: str) -> Judged:
@@ -105,18 +111,16 @@ def _not_ruled_out(found: Round) -> list[Refit]:
     first = found.refits[0]
     return [
         one
-        for one in _followed(found)
-        if min(first.gain - one.gain, first.score - one.score) <= RULED_OUT
+        for one in _rivals(found)
+        if not one.fit.given_up and min(first.gain - one.gain, first.score - one.score) <= RULED_OUT
     ]
 
 
-def _followed(found: Round) -> list[Refit]:
-    """Refits of a round that were followed to their end and gain something, but are not in its set."""
+def _rivals(found: Round) -> list[Refit]:
+    """Refits of a round that gain something, but are not in its set."""
     known = (*found.equivalent, *found.contradicted)
     return [
         one
         for one in found.refits
-        if one not in known
-        and not (one.fit.given_up or one.effect.traits.outliers)
-        and one.gain > 0.0
+        if one not in known and not one.effect.traits.outliers and one.gain > 0.0
     ]

@@ -84,7 +84,7 @@ def test_a_name_that_explains_as_much_where_records_have_values_of_their_own_is_
         )
         for name, score in (
             *(("ramp:speed", 40.0), ("drag:speed", 26.0)),
-            *(("cubic:speed", 26.0), ("variance:speed->time", 39.0)),
+            *(("step:speed", 26.0), ("variance:speed->time", 39.0)),
         )
     )
     own = {id(drift.fit): of_the_first, id(drag.fit): gain, id(left.fit): 99.0, id(noise.fit): 99.0}
@@ -98,7 +98,8 @@ def test_a_name_that_explains_as_much_where_records_have_values_of_their_own_is_
     monkeypatch.setattr(module, "own_values", own_values)
     round_ = Round(None, (drift, noise, drag, left), None, (drift,))
     asked = SimpleNamespace(decides=False)
-    search = Search(None, drift.fit, (round_,), False)
+    none = SimpleNamespace(log_likelihood=0.0)
+    search = Search(none, none, (round_,), False)
     judged = Judged(Verdict.NAMED, (drift,), None, drift.fit, None, search, asked)
     records = SimpleNamespace(begins=(10, 20, 30, 40), n_measured=50)
     assert 26.0 + 25.0 - 4 * np.log(50) < 38.0 < 26.0 + 29.0 - 4 * np.log(50)
@@ -111,3 +112,32 @@ def test_a_name_that_explains_as_much_where_records_have_values_of_their_own_is_
             in wide.notes[-1]
         )
     assert widened_by_records(judged, SimpleNamespace(begins=())) is judged
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(45.0, Verdict.UNKNOWN), (35.0, Verdict.NAMED)])
+def test_two_names_in_turn_are_none_where_one_explains_as_much_by_records(
+    gain, verdict, monkeypatch
+):
+    """Chicks, each with a limit of its own to its growth: a slow sensor and growth that falls were adopted."""
+    setting = Setting(DRIVE)
+    base, final = SimpleNamespace(log_likelihood=0.0), SimpleNamespace(log_likelihood=25.0)
+
+    def refit(name, score):
+        return Refit(make_effect(name, setting), SimpleNamespace(given_up=True), score + 4.0, score)
+
+    first, second, drag = (
+        refit("gain:reading", 30.0),
+        refit("ramp:speed", 9.0),
+        refit("drag:speed", 9.0),
+    )
+    own = {id(drag.fit): SimpleNamespace(gain=gain, names=("drag_speed",), further=3)}
+    monkeypatch.setattr(module, "own_values", lambda fit, series: own.get(id(fit)))
+    rounds = Round(None, (first, drag), None, (first,)), Round(None, (second,), None, (second,))
+    asked = SimpleNamespace(decides=False)
+    search = Search(base, final, rounds, False)
+    judged = Judged(Verdict.NAMED, (first, second), None, None, None, search, asked)
+    least = 50.0 - 8.0 - 2.0
+    assert 9.0 + 35.0 - 3 * np.log(50) < least < 9.0 + 45.0 - 3 * np.log(50)
+    told = widened_by_records(judged, SimpleNamespace(begins=(10, 20, 30), n_measured=50))
+    assert told.verdict is verdict
+    assert [note.endswith("no cause is named.") for note in told.notes] == [True] * (gain > 40.0)
