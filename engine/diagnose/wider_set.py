@@ -62,11 +62,14 @@ def widened_by_records(judged: Judged, series: Series) -> Judged:
     """
     if judged.verdict not in NAMES or judged.free_run.decides or not series.begins:
         return judged
-    found, named = judged.search.rounds[0], [r for r in judged.search.rounds if r.equivalent]
+    named = [r for r in judged.search.rounds if r.equivalent]
+    alone = len(named) == 1
+    # of several names the last rounds have the rivals of each beside the others
+    found = judged.search.rounds[0] if alone else judged.search.begun or judged.search.rounds[0]
     others = [one for one in _rivals(found) if one.effect.family in PHYSICAL][:ASKED]
     if not found.equivalent or not others or has_tails(judged.search):
         return judged
-    cost, alone = float(np.log(series.n_measured)), len(named) == 1
+    cost = float(np.log(series.n_measured))
 
     def with_own(fit: QuasiFit, score: float) -> tuple[float, tuple[str, ...]]:
         own = own_values(fit, series)
@@ -74,7 +77,7 @@ def widened_by_records(judged: Judged, series: Series) -> Judged:
 
     final, first = judged.search.final, found.refits[0]
     gained = 2.0 * (final.log_likelihood - judged.search.base.log_likelihood)
-    costs = sum(r.refits[0].gain - r.refits[0].score for r in named)
+    costs = sum(r.refits[0].gain - r.refits[0].score for r in named) + (len(named) - 1) * cost
     least = with_own(*((first.fit, first.score) if alone else (final, gained - costs)))[0] - MARGIN
     each = [(one, *with_own(one.fit, one.score)) for one in others]
     near = [(one, names) for one, score, names in each if names and score >= least]

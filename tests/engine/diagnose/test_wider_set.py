@@ -118,7 +118,7 @@ def test_a_name_that_explains_as_much_where_records_have_values_of_their_own_is_
 def test_two_names_in_turn_are_none_where_one_explains_as_much_by_records(
     gain, verdict, monkeypatch
 ):
-    """Chicks, each with a limit of its own to its growth: a slow sensor and growth that falls were adopted."""
+    """As those that are patches on growth whose limit is another one in each record may do together."""
     setting = Setting(DRIVE)
     base, final = SimpleNamespace(log_likelihood=0.0), SimpleNamespace(log_likelihood=25.0)
 
@@ -132,11 +132,12 @@ def test_two_names_in_turn_are_none_where_one_explains_as_much_by_records(
     )
     own = {id(drag.fit): SimpleNamespace(gain=gain, names=("drag_speed",), further=3)}
     monkeypatch.setattr(module, "own_values", lambda fit, series: own.get(id(fit)))
-    rounds = Round(None, (first, drag), None, (first,)), Round(None, (second,), None, (second,))
+    rounds = Round(None, (first,), None, (first,)), Round(None, (second,), None, (second,))
+    begun = Round(None, (first, drag), None, (first,))
     asked = SimpleNamespace(decides=False)
-    search = Search(base, final, rounds, False)
+    search = Search(base, final, rounds, False, begun=begun)
     judged = Judged(Verdict.NAMED, (first, second), None, None, None, search, asked)
-    least = 50.0 - 8.0 - 2.0
+    least = 50.0 - 8.0 - np.log(50) - 2.0  # two sizes, each with 4 of further parameters
     assert 9.0 + 35.0 - 3 * np.log(50) < least < 9.0 + 45.0 - 3 * np.log(50)
     told = widened_by_records(judged, SimpleNamespace(begins=(10, 20, 30), n_measured=50))
     assert told.verdict is verdict
