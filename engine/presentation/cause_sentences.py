@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from engine.data.series import Series
 from engine.diagnose.effects.kinds.colored import LATENT
+from engine.diagnose.effects.kinds.noise import RELATIVE
 from engine.diagnose.judging.findings import (
     AS_GOOD,
     AS_LIKELY,
@@ -18,7 +19,7 @@ from engine.diagnose.judging.findings import (
     LookAlike,
 )
 from engine.units import SECOND
-from engine.words import digits, enumerated, estimate, moment, number, with_unit
+from engine.words import digits, enumerated, estimate, moment, number, percent, with_unit
 
 SAMPLES = "samples"  # the unit of a delay
 
@@ -120,7 +121,12 @@ def value_of(value: float, unit: str, error: float | None, clock: str, step: flo
 
 
 def late(cause: Cause, step: float | None, clock: str) -> str:
-    """`` (0.02 s)`` behind the size of a delay that is told in samples; "" of all else."""
+    """`` (0.02 s)`` behind the size of a delay that is told in samples; "" of nearly all else.
+
+    Behind a squared share of the reading, as which noise is estimated, `` (2.1 % of the reading)``.
+    """
+    if cause.effect.partition(":")[0] == RELATIVE:
+        return f" ({percent(math.sqrt(max(cause.size, 0.0)))} of the reading)"
     told = cause.unit == SAMPLES and "+-" in estimate(cause.size, cause.standard_error, cause.unit)
     return in_time(cause.size, SAMPLES, step, clock) if told else ""
 

@@ -108,6 +108,7 @@ CASES = {
     "quantisation": ("reading", {"quantisation_reading": 0.15**2 / 12.0}),
     "level": ("reading", {"level_reading": 0.4}),
     "variance": ("reading->speed", {"variance_reading_speed": 2.0}),
+    "relative-noise": ("reading", {"relative_noise_reading": 0.01}),
     "correlation": ("speed,load", {"correlation_speed_load": 0.9}),
     # neither as quick as white noise nor as slow as the speed's answer to its own
     "colored": ("reading", {"colored_reading": 0.01, "colored_reading_time": 0.12}),

@@ -271,6 +271,7 @@ LOUDER = np.exp(0.4)
         ("variance:reading->speed", [0.7, 2.0, 0.3], lambda t: np.exp(0.35 * np.abs(SPEED - 0.3))),
         ("variance:reading->force", [0.7, 2.0, 0.3], lambda t: np.exp(0.35)),
         ("variance:reading->time", [0.7, 2.0, 1.0], lambda t: np.exp(0.35 * (t - 1.0))),
+        ("relative-noise:reading", [0.04, 0.3], lambda t: 1.0 + 40.0 * (SPEED - 0.3) ** 2),
     ],
 )
 def test_noise_of_a_reading_has_this_variance(name, own, factor):

@@ -274,6 +274,13 @@ def test_a_delay_is_told_in_time_too_where_samples_are_evenly_apart():
     assert with_time(asdict(delay)).endswith("samples")  # as earlier versions wrote it
 
 
+def test_noise_that_is_estimated_as_a_square_is_told_as_a_share_of_the_reading():
+    noise = replace(
+        cause(("relative-noise:y",), size=4.2e-4, error=5e-5), effect="relative-noise:y", unit="1"
+    )
+    assert "0.00042 +- 5e-05 (2.0 % of the reading), p = 0.01" in headline(noise, 0.01, "s")
+
+
 def test_the_step_of_a_record_is_that_of_its_samples():
     even = Series(np.zeros((5, 1)), dt=0.1)
     assert sample_step(even) == pytest.approx(0.1)

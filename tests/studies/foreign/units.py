@@ -187,6 +187,7 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "heavy-tails",
         "level",
         "variance",
+        "relative-noise",
         "correlation",
         "hold",
     ):

@@ -1,4 +1,4 @@
-"""Effects in the noise: its level, what it changes with, rounding, correlation."""
+"""Effects in the noise: its level, what it changes with, a share of the reading, rounding, correlation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.channels import Kind, at_outputs, at_signals, each_signal
+from engine.diagnose.effects.channels import Kind, at_outputs, at_signals, each_output, each_signal
 from engine.diagnose.effects.effect import (
     Effect,
     Split,
@@ -19,11 +19,14 @@ from engine.diagnose.effects.effect import (
 from engine.diagnose.effects.kinds.measurement import observers
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import POSITIVE, Setting
-from engine.diagnose.effects.traits import Traits
+from engine.diagnose.effects.traits import ANY, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 from engine.units import product
 from engine.words import with_unit
+
+RELATIVE = "relative-noise"
+VARIES = 1.5  # times as far from its zero is a reading at times as at others
 
 
 def _scaled(S: Array, index: int, factor: Any, M: int) -> Array:
@@ -59,7 +62,10 @@ def _level(setting: Setting, channel: str, name: str) -> Effect:
         f"std of the noise of {channel} times exp({name})",
         (Parameter(name, 0.0, "1", (-5.0, 5.0), "log ratio of standard deviations"),),
         lambda model: _with_noise(model, channel, lambda m, a, u, t, own: np.exp(own[0])),
-        look_alikes={"variance": "changes with a signal or with time"},
+        look_alikes={
+            "variance": "changes with a signal or with time",
+            RELATIVE: "grows with the reading",
+        },
         traits=Traits(noise_level=True),
     )
 
@@ -99,6 +105,54 @@ def _quantisation(setting: Setting, channel: str, name: str) -> Effect:
         readings=_rounded,
         shown=None if step is None else step**2 / 12.0,
     )
+
+
+def _relative(setting: Setting, channel: str, name: str) -> Effect:
+    """Noise that is a share of the reading, as data sheets say: 2 % of it.
+
+    The size is the square of that share, for the likelihood has no slope by the share where it is 0.
+    """
+    origin = Origin(setting, name, channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        base = promote(model, observers(setting, model, channel))  # variances depend on these only
+        row = list(base.outputs).index(channel)
+
+        def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
+            added = own[0] * (h[:, row] - origin.of(own)) ** 2
+            R = per_point(R, len(a), added)
+            R[..., row, row] += added
+            return h, C, R
+
+        return change_output(base, Split(model), change)
+
+    what = "square of the noise's share of the reading"
+    return Effect(
+        RELATIVE,
+        channel,
+        "noise",
+        f"measurement noise of {channel} in proportion to its reading",
+        f"variance of the noise of {channel} + {name} * {origin.text('y')}^2,  (share of the reading)^2",
+        extend=extend,
+        look_alikes={
+            "level": "does not change with the reading",
+            "variance": "grows e-fold with a signal, not in proportion",
+            "heavy-tails": "comes at any reading",
+        },
+        traits=Traits(noise_level=True, plainness=ANY - 1, contains=("level",)),
+        one_sided=True,
+        **origin.counted(Parameter(name, 0.0, "1", (0.0, 1.0), what)),
+    )
+
+
+def _varying(setting: Setting) -> list[str]:
+    """Outputs that have a zero and whose distance from it varies: a share of it is else a level."""
+
+    def varies(output: str) -> bool:
+        usual, most = (setting.distance(output, level) for level in (0.1, 0.9))
+        return setting.may_be_off(output) and most > VARIES * usual
+
+    return [output for output in each_output(setting) if varies(output)]
 
 
 def _rounded(y: Array, variance: float) -> Array:
@@ -153,7 +207,11 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
         lambda model: _with_noise(promote(model, _linear(model, signal)), target, factor),
         probes=(tuple(p.default for p in further),),
-        look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
+        look_alikes={
+            "level": "does not change",
+            "heavy-tails": "comes at random times",
+            RELATIVE: "is a share of the reading, beside a noise that is always there",
+        },
         traits=Traits(noise_level=True, contains=("level",)),
         held=tuple(p.name for p in further),
         zero=None if origin is None else origin.name,
@@ -217,6 +275,7 @@ def _each_correlation(setting: Setting) -> list[str]:
 
 KINDS: list[Kind] = [
     at_signals("level", _level),
+    at_outputs(RELATIVE, _relative, _varying),
     at_outputs("quantisation", _quantisation, lambda setting: setting.resolution),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),

@@ -29,7 +29,11 @@ def _heavy_tails(setting: Setting, channel: str, name: str) -> Effect:
             Parameter(f"{name}_ratio", 10.0, "1", (1.0, 1e4), "their size over the usual"),
         ),
         extend,
-        look_alikes={"pulse": "comes once", "variance": "comes at certain times or states"},
+        look_alikes={
+            "pulse": "comes once",
+            "variance": "comes at certain times or states",
+            "relative-noise": "comes where readings are large",
+        },
         one_sided=True,
         traits=Traits(outliers=True),
     )
