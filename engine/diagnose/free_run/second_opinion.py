@@ -42,7 +42,7 @@ from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.search import part_of, without_outliers
 from engine.estimation.quasi_ml import QuasiFit
-from engine.statespace.model import Theta
+from engine.statespace.model import MixedModel, Theta
 from engine.words import enumerated, moment
 
 ALARM_SHARE = 0.1  # of the free run's part of a diagnosis
@@ -119,13 +119,16 @@ def second_opinion(
         progress(STAGE, 0.5 * ALARM_SHARE)
         seen = beside.alarm(seed, level)
         progress(STAGE, ALARM_SHARE)
-        if seen.p_value > level:
-            if _is_noise_alone(causes):
-                by_name = _beside(causes.search.final, records, given, held, kinds)
-                left = by_name.alarm(seed, alpha)
-                if left.p_value <= alpha:
-                    reason = f"{_stands_for_more(left)}{_part(records, given, whole)}"
-                    return SecondOpinion(*said, False, reason, left, refutes=True)
+        explained = seen.p_value > level
+        if _is_noise_alone(causes) and (explained or _is_of_readings(causes, base.model)):
+            left = _beside(causes.search.final, records, given, held, kinds).alarm(seed, alpha)
+            if explained and left.p_value <= alpha:
+                reason = f"{_stands_for_more(left)}{_part(records, given, whole)}"
+                return SecondOpinion(*said, False, reason, left, refutes=True)
+            if not explained and left.p_value > alpha:
+                reason = f"{_noise_explains(left, alpha, True)}{_part(records, given, whole)}"
+                return SecondOpinion(*said, False, reason, left)
+        if explained:
             extended = settled and bool(named)
             reason = f"{_noise_explains(seen, level, extended)}{_part(records, given, whole)}"
             # a function of a signal follows what noise did, too, wherever noise adds up
@@ -301,6 +304,18 @@ def _is_noise_alone(causes: Causes) -> bool:
     named = [refit.effect for r in causes.search.rounds for refit in r.equivalent]
     every = all(effect.family == "noise" and not effect.traits.outliers for effect in named)
     return bool(named) and every and causes.verdict in NAMES
+
+
+def _is_of_readings(causes: Causes, model: MixedModel) -> bool:
+    """Whether what is named is how large the noise of readings is.
+
+    It adds up to nothing and explains no pattern. But the errors of readings that are noisier than others have
+    patterns that noise of one size does not have.
+    """
+    named = [refit.effect for r in causes.search.rounds for refit in r.equivalent]
+    return all(
+        e.traits.noise_level and e.channel.partition("->")[0] in model.outputs for e in named
+    )
 
 
 def _stands_for_more(seen: Alarm) -> str:

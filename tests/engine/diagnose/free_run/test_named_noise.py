@@ -65,6 +65,54 @@ def test_it_is_left_open(monkeypatch):
     assert "NOT adopted" in str(found)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("by_name", "holds"), [(0.06, True), (0.04, False)])
+def test_noise_of_readings_is_asked_by_its_name_before_a_pattern_counts(
+    monkeypatch, by_name, holds
+):
+    """The noisiest readings had a pattern that noise of one size does not have, and so a sensor was named."""
+
+    def alarm(self, seed, level):
+        p = by_name if "relative_noise_volts" in self.start.model.parameter_names else 0.003
+        return Alarm(p / 3.0, 1.0, 1.0, 0.05, 0.04, 3.0)
+
+    monkeypatch.setattr(second_opinion._Beside, "alarm", alarm)
+    rng, t = np.random.default_rng(4), 0.04 * np.arange(80)
+    v = 8.9 * np.exp(-t / 0.6) + 0.3
+    y = v * (1.0 + 0.05 * rng.standard_normal(80)) + 0.01 * rng.standard_normal(80)
+    series = engine.Series(y, t=t, y_names=("volts",))
+    found = engine.diagnose(discharge(), series, effects=["relative-noise"])
+    assert found.free_run.likelihood is Verdict.NAMED
+    assert (found.free_run.search is None) is holds
+    assert [cause.effect for cause in found.causes] == ["relative-noise:volts"]
+
+
+@pytest.mark.parametrize(
+    ("effects", "of_readings"),
+    [
+        (["level:y"], True),
+        (["relative-noise:y", "variance:y->x"], True),
+        (["relative-noise:y", "variance:x->u"], False),
+        (["colored:y"], False),  # adds up
+    ],
+)
+def test_which_noise_is_of_readings(effects, of_readings):
+    refits = [
+        SimpleNamespace(
+            effect=SimpleNamespace(
+                channel=name.partition(":")[2],
+                traits=SimpleNamespace(noise_level=not name.startswith("colored")),
+            )
+        )
+        for name in effects
+    ]
+    causes: Any = SimpleNamespace(
+        search=SimpleNamespace(rounds=[SimpleNamespace(equivalent=refits)])
+    )
+    model: Any = SimpleNamespace(outputs={"y": "m"})
+    assert second_opinion._is_of_readings(causes, model) is of_readings
+
+
 @pytest.mark.parametrize(
     ("families", "outliers", "verdict", "asked"),
     [
