@@ -10,8 +10,10 @@ from engine.diagnose import make_effect
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.score_columns import effect_columns
 from engine.diagnose.search.pipeline import find_causes
-from tests.engine.plain_models import cart, record
+from engine.filters.sigma_point import moment_path
+from tests.engine.plain_models import Units, cart, pendulum, record, referred
 
 PLASMA = engine.continuous(
     name="plasma",
@@ -81,6 +83,24 @@ def test_a_reading_without_a_zero_has_no_share():
     declared = replace(cart(), reference={"tape": 0.0})
     setting = setting_for(declared, series, np.asarray(declared.theta()))
     assert "relative-noise:tape" in {e.name for e in all_effects(setting)}
+
+
+def seen(model, series):
+    """The standardised score of noise in proportion to the pendulum's reading."""
+    theta = np.asarray(model.theta())
+    effect = make_effect("relative-noise:y", setting_for(model, series, theta))
+    path = moment_path(model, theta, series)
+    ((_, column),) = effect_columns(effect, model, theta, series, path)
+    return column.s.sum() / np.linalg.norm(column.v)
+
+
+def test_a_share_is_the_same_in_other_units_and_from_another_declared_zero():
+    model = referred(pendulum())
+    series = record(model, 60)
+    channels = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
+    each = {name: (3.0**i, 40.0 + 7.0 * i) for i, name in enumerate(channels)}
+    units = Units(model, each, (1.0, 300.0))
+    assert seen(units.converted(), units.series(series)) == pytest.approx(seen(model, series))
 
 
 @pytest.mark.long
