@@ -287,7 +287,8 @@ def diagnose(  # noqa: PLR0913
         and len(searched) == len(fine.records.train)
     ):
         whole, cut = fine.records.main, len(fine.records.train)
-        unsearched = begins_unsearched(causes.base, whole, cut, causes.kinds, alpha, seed)
+        tested = [score.effect for score in causes.search.rounds[0].screen.scores]
+        unsearched = begins_unsearched(causes.base, whole, cut, tested, alpha, seed)
 
     if records.in_turn and any(cause.where == "time" for cause in judged.causes):
         others = zip(records.numbers[1:], fine.records.others, strict=True)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.traits import Course
@@ -56,20 +55,21 @@ def begins_unsearched(
     fit: QuasiFit,
     whole: Series,
     cut: int,
-    kinds: Sequence[str] | None,
+    tested: Sequence[Effect],
     alpha: float,
     seed: int,
 ) -> Unsearched | None:
     """The event that leads on the ``whole`` record, where it lies in the rows from ``cut`` on, if one does.
 
-    ``fit`` is to the rows before; ``alpha`` the family-wise level of all events in the whole record.
+    ``fit`` is to the rows before, on which the effects ``tested`` were asked; ``alpha`` is the family-wise level
+    of all events in the whole record.
     """
+    events = [e.name for e in tested if _is_event(e)]
+    if not events:
+        return None
     try:
         again = quasi_ml(fit.model, whole, fit.theta, fit.free)
         setting = setting_for(fit.model, whole, np.asarray(again.theta))
-        events = [e.name for e in all_effects(setting, kinds) if _is_event(e)]
-        if not events:
-            return None
         seen = screen_effects(again, whole, setting, events, alpha, seed, lambda *_: None)
     except (EngineError, OptionError, np.linalg.LinAlgError):
         return None
