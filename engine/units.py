@@ -49,6 +49,7 @@ _PREFIXES = {
 # C and F may also be a coulomb and a farad, g what things weigh, and turns a minute are written 1/min, too.
 _CELSIUS, _FAHRENHEIT = (1.0, {"degC": 1.0}), (1.0, {"degF": 1.0})
 _DEGREE = {"degC": 1.0, "degF": 5.0 / 9.0}  # in K
+_NOTHING = {"degC": -273.15, "degF": -459.67}
 _NEWTON: Powers = {"kg": 1.0, "m": 1.0, "s": -2.0}
 _JOULE: Powers = {"kg": 1.0, "m": 2.0, "s": -2.0}
 _PASCAL: Powers = {"kg": 1.0, "m": -1.0, "s": -2.0}
@@ -204,6 +205,15 @@ def difference(unit: str) -> tuple[float, str] | None:
         if kinds == {symbol: 1.0}:
             size, kinds = size * degree, {"K": 1.0}
     return size, _written(1.0, dict(sorted(kinds.items())))
+
+
+def zero_of(unit: str) -> float:
+    """Where there is nothing of what is measured, in its unit: 0, but of degC and degF absolute zero."""
+    known = meanings(unit)
+    for symbol, zero in _NOTHING.items():
+        if len(known) == 1 and known[0][1] == {symbol: 1.0}:
+            return zero
+    return 0.0
 
 
 def _known(symbol: str) -> list[Meaning]:

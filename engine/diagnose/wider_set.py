@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.traits import Course
 from engine.diagnose.held_out import Judged
 from engine.diagnose.judging.by_record import own_values
 from engine.diagnose.judging.findings import Verdict
@@ -28,11 +29,9 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.words import enumerated
 
 ASKED = 8  # names, the likeliest first, that are asked whether records have values of their own beside them
-PHYSICAL = (
-    "state",
-    "measurement",
-    "input",
-)  # families of names of which records may have values of their own
+# families of names of which records may have values of their own
+PHYSICAL = ("state", "measurement", "input")
+EVENTS = (Course.STEP, Course.PULSE, Course.EPISODE)
 
 
 def widened(judged: Judged, beside: OverHorizon | None) -> Judged:
@@ -69,6 +68,8 @@ def widened_by_records(judged: Judged, series: Series) -> Judged:
     others = [one for one in _rivals(found) if one.effect.family in PHYSICAL][:ASKED]
     if not found.equivalent or not others or has_tails(judged.search):
         return judged
+    if any(r.refits[0].effect.traits.course in EVENTS for r in named):
+        return judged  # what happens at one time is of one record, whose value would say no more
     cost = float(np.log(series.n_measured))
 
     def with_own(fit: QuasiFit, score: float) -> tuple[float, tuple[str, ...]]:

@@ -163,8 +163,8 @@ class MixedModel(BaseModel):
     reference : mapping
         {channel: the value of its natural zero, in its unit}, such as 20 for a temperature that is counted
         from room temperature. Effects that have a zero of their own (drag, a gain error) count from there. Of
-        others it is 0, or the middle of the record where the equations do not care (a position on a
-        road, all temperatures of a room together).
+        others it is 0, of temperatures absolute zero, or the middle of the record where the equations do not
+        care (a position on a road, all temperatures of a room together).
     continuous : bool
         Whether the model may be stepped more finely than the data: two half-steps agree with one, A and Q
         included, up to the order of the scheme. This is checked when a diagnosis uses it.

@@ -163,7 +163,9 @@ def test_a_column_given_to_a_channel_is_no_time(tmp_path):
     model = get_model("local-level")
     assert series_of(path, model, Columns({"flow": "y_V"}))[0][0].dt == 1.0
     assert series_of(path, model, Columns({"flow": "t"}))[0][0].dt == 2.0
-    assert series_of(path, model, Columns({"flow": "t"}, time="t"))[0][0].dt == 1.0  # as it was asked
+    assert (
+        series_of(path, model, Columns({"flow": "t"}, time="t"))[0][0].dt == 1.0
+    )  # as it was asked
     assert series_of(path, model, Columns({"flow": "y_V"}, extra=["t"]))[0][0].dt == 2.0
 
 

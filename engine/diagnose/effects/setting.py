@@ -27,7 +27,7 @@ from engine.diagnose.effects.rates import (
 from engine.diagnose.effects.zeros import without_zero
 from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel, Parameter
-from engine.units import SECOND, frequency_in, product
+from engine.units import SECOND, frequency_in, product, zero_of
 
 SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an effect has
 PROBED = 32  # rows of a record at which a model's structure is looked at
@@ -177,12 +177,15 @@ class Setting:
     def zero(self, channel: str) -> float:
         """The channel's zero in its unit: declared, derived from the model, else 0 of the unit.
 
-        Where that means nothing to the model it is the middle of the record.
+        Of a temperature that is absolute zero, whatever its unit. Where it means nothing to the model it is the
+        middle of the record.
         """
         if channel in self.known_zeros:
             return float(self.known_zeros[channel])
         values = self._values(channel)
-        return float(np.median(values)) if values.size and channel in self._afloat else 0.0
+        if not values.size:
+            return 0.0
+        return float(np.median(values)) if channel in self._afloat else zero_of(self.unit(channel))
 
     def may_be_off(self, channel: str) -> bool:
         """Whether the channel has a zero, as a voltage has and a temperature in degC has not."""

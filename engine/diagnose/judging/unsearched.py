@@ -61,8 +61,8 @@ def begins_unsearched(
 ) -> Unsearched | None:
     """The event that leads on the ``whole`` record, where it lies in the rows from ``cut`` on, if one does.
 
-    ``fit`` is to the rows before, on which the effects ``tested`` were asked; ``alpha`` is the family-wise level
-    of all events in the whole record.
+    ``fit`` is to the rows before, on which the effects ``tested`` were asked; ``alpha`` is the family-wise
+    level of all events in the whole record.
     """
     events = [e.name for e in tested if _is_event(e)]
     if not events:

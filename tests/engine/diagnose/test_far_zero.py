@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import engine
 from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.hide import hide
@@ -103,3 +104,60 @@ def test_the_search_for_a_zero_is_told_what_it_has_to_gain(decaying, monkeypatch
     null = found.fit.log_likelihood - 0.5 * found.gain
     assert target <= null + 0.5 * (found.score + freed) + 1e-9
     assert target > fit.log_likelihood
+
+
+def reaction(unit, per_kelvin, zero):
+    """A cooled reaction whose rate counts from absolute zero, with temperatures in a unit of one's own."""
+
+    def kelvin(x):
+        return (x - zero) / per_kelvin
+
+    def dynamics(a, u, t, dt, theta):
+        T = kelvin(a[:, 0])
+        T = T + dt * (theta.a * (kelvin(u[0]) - T) + 1e5 * np.exp(-4000.0 / T))
+        return [per_kelvin * T + zero], np.zeros((1, 0)), [[0.01 * per_kelvin**2]]
+
+    return engine.MixedModel(
+        name="reaction",
+        nonlinear={"T": unit},
+        inputs={"coolant": unit},
+        outputs={"thermometer": unit},
+        parameters=[engine.Parameter("a", 0.05, "1/s", (1e-3, 1.0))],
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: (
+            [a[:, 0]],
+            np.zeros((1, 0)),
+            [[0.04 * per_kelvin**2]],
+        ),
+        initial=lambda theta: (
+            engine.Gaussian([per_kelvin * 350.0 + zero], [[per_kelvin**2]]),
+            [],
+            np.zeros((0, 0)),
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_kelvin", "zero"), [("degC", 1.0, -273.15), ("degF", 1.8, -459.67)]
+)
+def test_a_temperature_counts_from_where_there_is_none_in_whatever_unit(unit, per_kelvin, zero):
+    """A gain of the coolant was another effect in degF: its zero was that of the scale."""
+    rng = np.random.default_rng(3)
+    u = 340.0 + np.repeat(rng.uniform(-9.0, 9.0, 20), 20)
+    plain = reaction("K", 1.0, 0.0)
+    here = engine.simulate(plain, plain.theta(), len(u), rng, u=u).series
+    other = reaction(unit, per_kelvin, zero)
+    there = engine.Series(per_kelvin * here.y + zero, per_kelvin * here.u + zero, dt=here.dt)
+    settings = [
+        setting_for(model, series, np.asarray(model.theta()))
+        for model, series in ((plain, here), (other, there))
+    ]
+    for name in ("T", "coolant", "thermometer"):
+        assert settings[0].zero(name) == 0.0
+        assert settings[1].zero(name) == pytest.approx(zero)
+    gains = []
+    for model, series, one in zip((plain, other), (here, there), settings, strict=True):
+        effect, fit = make_effect("input-gain:coolant", one), quasi_ml(model, series, model.theta())
+        assert effect.probes[0][-1] == pytest.approx(one.zero("coolant"))
+        gains.append(refit(fit, series, seen(effect, 1e-4, effect.probes[0][-1])).gain)
+    assert gains[1] == pytest.approx(gains[0], abs=1e-3)

@@ -20,6 +20,13 @@ from engine.statespace.model import Gaussian, MixedModel, Parameter
 from tests.studies.foreign.plant import Array
 from tests.studies.foreign.written import Units
 
+# {(unit, scale, zero): what it is called}
+TEMPERATURES = {
+    ("K", 1.8, -459.67): "degF",
+    ("K", 1.0, -273.15): "degC",
+    ("degC", 1.8, 32.0): "degF",
+    ("degC", 1.0, 273.15): "K",
+}
 PARAMETERS = (1.0, 1e3, 1e-2)  # the parameters' scales, in turn
 
 
@@ -112,9 +119,14 @@ def in_scale(parameter: Parameter, scale: float) -> Parameter:
 
 
 def renamed(names: Mapping[str, str], units: Units) -> dict[str, str]:
-    """Channels with units of another name where they are others."""
+    """Channels with units of another name where they are others, one that is not known but of temperatures."""
+
+    def there(name: str, unit: str) -> str:
+        scale, zero = units.scale.get(name, 1.0), units.zero.get(name, 0.0)
+        return TEMPERATURES.get((unit, scale, zero), f"{unit}*")
+
     changed = {**units.scale, **units.zero}
-    return {name: f"{unit}*" if name in changed else unit for name, unit in names.items()}
+    return {name: there(name, unit) if name in changed else unit for name, unit in names.items()}
 
 
 def scaled(matrix: Array, rows: Array, columns: Array) -> Array:
