@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
+from engine.data.by_column import names_and_times
 from engine.data.files import is_channel
 from engine.data.series import Series
 from engine.data.stamps import candidates, column_counts, like_times
@@ -81,20 +82,26 @@ def noted(
     model: BaseModel,
     read: Mapping[str, str],
     clock: tuple[bool, Collection[str]],
-    advice: tuple[str, str],
+    advice: tuple[str, str, str],
+    first: Table,
 ) -> list[str]:
     """What the reader of a file should know of how it was read, {channel: column}.
 
     ``clock`` tells whether times or a step were asked for, and which other columns were. The ``advice`` is how
-    to give a step, and a column of times as ``{}``.
+    to give a step, a column of times as ``{}``, and one that tells records apart. ``first`` is the part of the
+    table that is the first record, or all of it.
     """
     found = list(table.notes)
     asked, other = clock
     taken = {*read.values(), *other}
     if not asked and table.dt is None and not candidates(table, taken):
-        column, why = like_times(table, taken)
+        column, why = like_times(first, taken)
         said = f"no column of times: a step of 1 {series.time_unit} is assumed; else {advice[0]}"
-        said += f", or, as '{column}' {why}, {advice[1].format(column)}" if column else ""
+        if column:
+            said += f", or, as '{column}' {why}, {advice[1].format(column)}"
+        elif first is table and (names := names_and_times(table, taken))[0]:
+            said += ", or, as '{1}' rises in each record if '{0}' names them, ".format(*names)
+            said += f"{advice[2].format(names[0])} and {advice[1].format(names[1])}"
         found.append(f"{said}.")
     units = {**model.outputs, **model.inputs}
     unknown = [

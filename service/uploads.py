@@ -31,8 +31,8 @@ from service.validation import ADAPTER, find_model
 
 BLANKS = re.compile(rb" +(?=[^\s])")  # between cells that nothing else parts
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
-ADVICE = ('"dt": STEP', '"t": "{}"')  # members of an entry of ``series`` ...
-BY = '"by": "{}"'  # ... and another one
+BY = '"by": "{}"'
+ADVICE = ('"dt": STEP', '"t": "{}"', BY)  # members of an entry of ``series``
 
 
 class _FileSeries(BaseModel):
@@ -183,7 +183,8 @@ def _read(
         if model is not None:
             check_units(every[0], model)
             clock = bool(wanted.t or wanted.dt), wanted.other
-            told = noted(table, every[0], model, {**(y or {}), **(u or {})}, clock, ADVICE)
+            channels = {**(y or {}), **(u or {})}
+            told = noted(table, every[0], model, channels, clock, ADVICE, parts[0])
             notes += [f"{table.file}: {one}" for one in told]
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None

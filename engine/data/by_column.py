@@ -80,6 +80,14 @@ def names_records(table: Table, times: str | None, taken: Collection[str]) -> st
     return min(found, key=lambda one: one[0])[1] if found else ""
 
 
+def names_and_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
+    """A column that may name records, and one that rises in each of them; "" where there are none."""
+    for times in table.columns:
+        if times not in taken and (names := names_records(table, times, taken)):
+            return names, times
+    return "", ""
+
+
 def _column(table: Table, name: str) -> str:
     full = table.full(name)
     if full not in table.columns:

@@ -39,7 +39,7 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.array_files import read_mat, read_npz
-from engine.data.by_column import gather, names_records, parts_of
+from engine.data.by_column import gather, names_and_times, names_records, parts_of
 from engine.data.csv_files import read_csv
 from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward
 from engine.data.series import Series
@@ -140,6 +140,13 @@ def _series_of(
                 table.notes.append(
                     f"no column of times: a step of 1 {series.time_unit} is assumed; as '{column}' {why}, "
                     f"give t='{column}', or dt."
+                )
+            elif not other and (names := names_and_times(table, taken))[0]:
+                table.notes.append(
+                    "no column of times: a step of 1 {2} is assumed; as '{1}' rises in each record if '{0}' "
+                    "names them, try Series.read_records(..., by='{0}', t='{1}').".format(
+                        *names, series.time_unit
+                    )
                 )
     return series
 

@@ -69,7 +69,7 @@ def series_of(
     if columns.by:
         gather(table, parts)
         table.notes.append(in_order(table, parts))
-    notes = _notes(table, every[0], model, y | u, columns)
+    notes = _notes(table, every[0], model, y | u, columns, parts[0])
     return every, _said(path, every, [*y.values(), *u.values()]), notes
 
 
@@ -99,7 +99,7 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
         found = series_from(table, [some], u, *columns.clock)
         inputs = found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
         check_units(inputs, model)
-        return inputs, _notes(table, inputs, model, u, columns)
+        return inputs, _notes(table, inputs, model, u, columns, table)
     except SeriesError as error:
         raise wrong(str(error)) from None
 
@@ -152,10 +152,16 @@ def _assigned(
 
 
 def _notes(
-    table: Table, series: Series, model: MixedModel, read: Mapping[str, str], columns: Columns
+    table: Table,
+    series: Series,
+    model: MixedModel,
+    read: Mapping[str, str],
+    columns: Columns,
+    first: Table,
 ) -> list[str]:
     clock = bool(columns.time or columns.dt), [*columns.extra, *columns.by]
-    told = noted(table, series, model, read, clock, ("--dt STEP", "--time '{}'"))
+    advice = "--dt STEP", "--time '{}'", "--by '{}'"
+    told = noted(table, series, model, read, clock, advice, first)
     return [f"{table.file}: {one}" for one in told]
 
 

@@ -55,3 +55,13 @@ def test_what_is_wrong(given, said, rbps, tmp_path):
     found = rbps(*FIT, *given)
     assert found.exit_code == 2
     assert said in found.stderr
+
+
+def test_times_and_the_column_that_names_records_are_pointed_out_together(rbps, tmp_path):
+    text = TEXT.replace("time [year]", "visit").replace("y,4,", "y,4.2,")
+    (tmp_path / "flows.csv").write_text(text)
+    both = (
+        "as 'visit' rises in each record if 'Subject' names them, --by 'Subject' and --time 'visit'"
+    )
+    assert both in rbps(*FIT).stderr
+    assert "as 'visit' counts up evenly, --time 'visit'" in rbps(*FIT, "--by", "Subject").stderr

@@ -98,3 +98,16 @@ def test_no_column_is_pointed_out_by_which_times_would_not_increase(text):
 def test_lines_are_those_of_the_file():
     parts = parts_of(read_csv(RATS.encode(), "a.csv"), ["Rat"])
     assert [list(part.lines) for part in parts] == [[2, 3, 7], [4, 5, 6]]
+
+
+VISITS = "id,visit,y\n" + "".join(f"{who},{2 * k},1.5\n" for k in range(3) for who in "ab")
+
+
+def test_times_that_nobody_calls_so_are_pointed_out_with_the_column_that_names_records(tmp_path):
+    """Rows of several subjects in turn were one record, and its times the numbers of its rows."""
+    with pytest.warns(ReadingWarning, match=r"by='id', t='visit'"):
+        Series.read(written(tmp_path, VISITS), y="y")
+    with pytest.warns(ReadingWarning, match="'visit' counts up evenly, give t='visit'"):
+        Series.read_records(written(tmp_path, VISITS), by="id", y="y")
+    one, _ = Series.read_records(written(tmp_path, VISITS), by="id", y="y", t="visit")
+    assert one.t.tolist() == [0.0, 2.0, 4.0]
