@@ -895,3 +895,18 @@ def test_a_diffusion_of_parameters_that_cannot_be_recorded_keeps_no_drift_from_i
     for _ in range(3):
         model.transition(*given)
     assert model.transitions.recorded
+
+
+@pytest.mark.parametrize("dynamics", [matrices, loops])
+def test_the_first_rows_are_not_called_one_by_one(dynamics):
+    """A model that was extended is a new one: each learned anew, by a call for each row of the record."""
+    calls = []
+
+    def counted(*given):
+        calls.append(len(given[0]))
+        return dynamics(*given)
+
+    model, given = model_of(counted), rows_of(0, model_of(dynamics), 40 * M)
+    found = model.transition(*given)
+    assert len(calls) < 10 * M
+    assert_same(found, alone(model_of(dynamics), *given))
