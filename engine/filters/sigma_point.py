@@ -21,7 +21,8 @@ from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.filters.strata import StrataSteps, filter_in_strata, path_in_strata
 from engine.filters.taped import filter_by_tape
 from engine.kernels.gaussian import psd_cholesky_many
-from engine.kernels.moments import keep_reading, observe, points_of, predict, room_for, slopes
+from engine.kernels.moment_steps import keep_reading, observe, predict, room_for, slopes
+from engine.kernels.moments import points_of
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.filters.taped import tapes_of
-from engine.kernels.moments import gaussian_update, sigma_points, slopes
+from engine.kernels.moment_steps import slopes
+from engine.kernels.moments import gaussian_update, sigma_points
 from engine.kernels.strata import filter_strata, merge
 from engine.kernels.taped import filter_strata_taped
 from engine.statespace.model import Array, LinearGaussian, MixedModel

@@ -5,17 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from engine.kernels.moments import (
-    gaussian_update,
-    keep_reading,
-    observe,
-    points_into,
-    predict,
-    room_for,
-    sigma_points,
-    slopes,
-    transform,
-)
+from engine.kernels.moment_steps import keep_reading, observe, predict, room_for, slopes
+from engine.kernels.moments import gaussian_update, points_into, sigma_points, transform
 from engine.kernels.strata import merge
 from engine.kernels.tape import evaluate
 
@@ -28,7 +19,7 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
     matrices beside them; ``record`` the inputs u, u_step, times, steps and where x_1 begins again; ``state`` is
     the points' rows, what is beside them, m, P, copies last, filled in place, ``start`` m and P of x_1;
     ``found`` innovations, S and terms. ``visited``, each (T, S, na) or empty, are the points of the first copy,
-    ``moments`` and ``gains`` as :func:`engine.kernels.moments.keep_reading` has them, or empty.
+    ``moments`` and ``gains`` as :func:`engine.kernels.moment_steps.keep_reading` has them, or empty.
     """
     tape_y, links_y, W_y, places_y, flat_y, (h, C, R) = reading
     tape_x, links_x, W_x, places_x, flat_x, (f, A, Q) = moving
