@@ -23,7 +23,7 @@ from engine.presentation.examination import (
     trace_document,
 )
 from engine.presentation.held_out import held_out
-from engine.simulation.fit import LOWER_BOUNDS
+from engine.simulation.fit import OF_THE_RUN
 from engine.simulation.free_run import root_mean_square, root_mean_squares
 from engine.simulation.problem import REFINED
 from engine.statespace.model import Array, MixedModel, Theta
@@ -131,7 +131,7 @@ def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) 
         "estimate": estimate,
         "outcome": "converged" if found.success else "evaluations-used-up",
         "message": found.message,
-        "warning": LOWER_BOUNDS,
+        "warning": OF_THE_RUN,
         "rmse": finite(found.rmse),
         "rmse_by_output": {name: finite(value) for name, value in found.rmse_by_output.items()},
         **_held_out(job, found.theta),

@@ -7,7 +7,7 @@ within the bounds (scipy.optimize.least_squares), see :mod:`engine.simulation.pr
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,10 +43,11 @@ from engine.ties import Ties
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
 from engine.words import Told, digits, errors_in_words, hardly_told, tidy
 
-LOWER_BOUNDS = (
-    "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
-    "that the parameters absorb: read them as lower bounds. Maximum likelihood (rbps_em) gives others."
+OF_THE_RUN = (
+    "Standard errors allow for errors of the run that last, as process noise makes them. Where it moves the "
+    "states, maximum likelihood (rbps_em) knows the parameters better."
 )
+SHORT_RECORD = 3.0  # degrees of freedom of a variance, below which it is told
 RUNS_AWAY = (
     "The simulation runs away from the record: its error is larger than all that the readings move. Where the "
     "model is unstable, as a plant that only its controller holds, no free run can be fitted to them: estimate "
@@ -82,9 +83,9 @@ class SimulationFit(Shown):
     tied : tuple of str
         Estimated parameters that the data only determine together; nothing can be said of one alone.
     covariance : array (n_theta, n_theta)
-        Covariance of the parameters, from residuals that may be correlated over time; zero for parameters not
-        estimated. Where process noise moves the states it is a lower bound: the parameters absorb such noise,
-        and no residual shows it.
+        Covariance of the parameters, from residuals that may be correlated over time, as process noise makes
+        them; zero for parameters not estimated. Wide enough that 1.96 standard errors to either side are 95 %
+        also where a record is short beside how long errors last; ``message`` says where it is.
     evaluations : int
         Runs of the model.
     seconds : float
@@ -180,7 +181,7 @@ class SimulationFit(Shown):
             + errors_in_words(self.rmse_by_output, self.model.outputs),
             tables().line(self.message),
             tables().table(("parameter", "estimate", "standard error", "unit"), rows),
-            tables().line(LOWER_BOUNDS),
+            tables().line(OF_THE_RUN),
         )
 
     def _remark(self, name: str) -> str:
@@ -276,6 +277,7 @@ def fit_simulation(
     ties, tied = Ties(estimated, found.directions), problem.names(problem.active[found.tied[:k]])
     errors = np.sqrt(np.diag(covariance))
     known = {name: float(errors[model.index(name)]) for name in estimated if name not in tied}
+    degrees = dict(zip(estimated, found.degrees[:k].tolist(), strict=True))
     hardly = model.hardly_known(theta, known)
     faults = about_faults(model.outputs, model.inputs, listed, outliers=True)
     clock = about_clock(model, listed)
@@ -289,6 +291,7 @@ def fit_simulation(
             ties.in_words,
             model.held_in_words(theta, [name for name in estimated if name not in hardly], ties),
             hardly_told(hardly),
+            _short_in_words(name for name in known if degrees[name] < SHORT_RECORD),
             faults,
             clock,
             about_free_runs(model, theta, listed, x1),
@@ -438,6 +441,17 @@ def _ended(best: OptimizeResult, stopped: int) -> str:
     if best.status > 0:
         return "Converged."
     return "All evaluations were used up before convergence."
+
+
+def _short_in_words(names: Iterable[str]) -> str:
+    """Whose standard errors are themselves hardly known."""
+    listed = ", ".join(names)
+    if not listed:
+        return ""
+    return (
+        "The record is short beside how long errors of its run last. So it hardly tells the standard error of "
+        f"{listed}: what is given is on the safe side, and a longer record, or several, may give a smaller one."
+    )
 
 
 def _silent_in_words(silent: tuple[str, ...], begun: bool) -> str:

@@ -425,9 +425,10 @@ class FreeRunProblem:
         Given p, derivatives in weak directions are held against those over wider steps.
         """
         wider = None if p is None else lambda: self._over_wider_steps(p)
-        places = [np.nonzero(one.observed)[0] for one in self.series]
-        record = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
-        return run_covariance(e, J, record, np.concatenate(places), wider)
+        places = [np.nonzero(one.observed) for one in self.series]
+        record = np.repeat(np.arange(len(places)), [len(rows) for rows, _ in places])
+        row, channel = (np.concatenate(own) for own in zip(*places, strict=True))
+        return run_covariance(e, J, record, row, channel, wider)
 
     def _over_wider_steps(self, p: Array) -> Array:
         """Derivatives (n, n_p) of the residuals at p by differences over WIDER times the steps."""

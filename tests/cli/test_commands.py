@@ -612,7 +612,7 @@ def test_the_simulation_is_fitted_first(rbps, run, tmp_path):
     least = engine.fit_simulation(model, series, {"omega": 7.0}, free=["omega", "zeta"])
     assert document["estimate"]["omega"]["value"] == least.theta["omega"]
     assert f"simulation wrong by {words.with_unit(least.rmse, '1')} rms" in found.stdout
-    assert "lower bounds" in found.stdout
+    assert "Standard errors allow for errors of the run that last" in found.stdout
     assert "Simulation" in (tmp_path / "fit.html").read_text()
     assert list((tmp_path / "figures").glob("outputs*.svg"))
     assert not list(tmp_path.rglob("*.state"))

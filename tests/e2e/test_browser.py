@@ -796,7 +796,7 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
     page.wait_for_selector("#results table")
     shown = page.inner_text("#results")
     assert "no influence" in shown  # of the noise
-    assert "read them as lower bounds" in shown
+    assert "errors of the run that last" in shown
     page.wait_for_selector("#results .u-wrap canvas")
     found = httpx.get(page.url + "/results").json()
     assert found["estimate"]["omega"]["value"] == pytest.approx(7.0, rel=0.05)

@@ -35,7 +35,7 @@ def test_a_fit_of_the_simulation(client, ended, request_):
     assert one["value"] == pytest.approx(value, rel=0.1)
     assert one["interval"][0] < one["value"] < one["interval"][1]
     assert found["method"] == "simulation"
-    assert "lower bounds" in found["warning"]
+    assert "errors of the run that last" in found["warning"]
     assert found["estimate"][next(k for k in found["estimate"] if k != name)]["fixed"]
     (run,) = found["simulation"]["series"]
     measured, y = (np.array(run[key]["y"] if "y" in run[key] else next(iter(run[key].values())))

@@ -246,9 +246,9 @@ def _whole(rows: int, series: Series) -> int:
 def information(fit: Fitted, found: QuasiFit) -> Array:
     """Of all free parameters (n, n): of the shown ones from the free run, of the others from the likelihood.
 
-    Errors of a free run are hardly ever white, so the inverse is that of a sandwich: scores summed over
-    blocks of rows. There is none along what parameters are tied in, be it with first states, which a sandwich
-    has no part in: it would know of each what is known of them together.
+    Errors of a free run are hardly ever white, so the inverse is that of a sandwich. There is none along what
+    parameters are tied in, be it with first states, which a sandwich has no part in: it would know of each what
+    is known of them together.
     """
     n, k = len(fit.free), fit.n_parameters
     out = np.zeros((n, n))

@@ -121,8 +121,8 @@ def comparison_notes(c: Document, names: Sequence[str]) -> list[str]:
     fitted = [name for name, how in zip(names, c["methods"], strict=True) if how == "simulation"]
     if fitted and any(row["in_errors"] is not None for row in c["parameters"]):
         out.append(
-            f"The standard errors of {' and '.join(fitted)} are of a fit of the simulation: lower bounds, "
-            "where process noise moves the states. Smaller ones do not mean a better estimate."
+            f"The standard errors of {' and '.join(fitted)} are of a fit of the simulation, which knows less "
+            "of the parameters than maximum likelihood does where process noise moves the states."
         )
     return out
 

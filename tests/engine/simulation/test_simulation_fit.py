@@ -615,3 +615,18 @@ def test_bands_know_that_parameters_move_the_first_state():
     np.testing.assert_allclose(run.upper - run.lower, 2.0 * 1.96 * 0.5, rtol=0.1)
     known = free_run(LEVEL, theta, series, z1=[3.0], bands=bands)
     np.testing.assert_allclose(known.upper, known.lower)
+
+
+@pytest.mark.long
+def test_a_record_that_is_short_beside_its_errors_is_told():
+    """Of an oscillator that rings for as long as the record lasts, where noise moves it."""
+    model, free = engine.get_model("oscillator"), ["omega", "zeta", "gain"]
+    said = []
+    for n in (100, 1500):
+        rng = np.random.default_rng(3)
+        u = np.repeat(rng.uniform(-1.0, 1.0, n // 10), 10)
+        noisy = {"sigma_v": 1.0, "sigma_y": 0.02}
+        series = engine.simulate(model, noisy, n, rng, u=u, dt=0.05).series
+        said.append(engine.fit_simulation(model, series, free=free, n_starts=0).message)
+    assert "hardly tells the standard error of" in said[0]
+    assert "standard error" not in said[1]
