@@ -11,7 +11,8 @@ turn is then weighed again, each beside the others, and dropped where it is not 
 - ``unknown``: the unnamed force explains as much as any named effect, or something is left that
   no further effect explains, or what was found in turn looks like patches on one cause that is not
   in the catalogue, or the model is far from the data whatever is added, or something contradicts the
-  name: its size may as well be zero, or the particle filter sees no gain.
+  name: its size may as well be zero, or the particle filter sees no gain, or finds the moment filter, by
+  which models are compared, further off than the name gains.
 
 It is ``unknown``, too, where several records have parameters of their own, for which noise stands, or an
 effect that explains less, or whose size is above zero in some and below in others. So it is where noise leads

@@ -25,6 +25,11 @@ from engine.diagnose.judging.by_record import word_of_records
 from engine.diagnose.judging.contradictions import particle_word
 from engine.diagnose.judging.findings import Cause, Verdict
 from engine.diagnose.judging.judgement import NAMES, has_tails
+from engine.diagnose.judging.moments_missed import (
+    log_likelihood_of,
+    missed_in_words,
+    nats_missed,
+)
 from engine.diagnose.judging.verdict import named_by, names_of
 from engine.diagnose.records import Records
 from engine.diagnose.refits.found import Search
@@ -81,7 +86,8 @@ class HeldOut:
         progress: Progress = lambda stage, share: None,
     ) -> Judged:
         """The causes of the criterion that decides, with what they gain where nothing was fitted."""
-        judged = self._heeding_records(self._judged(found, asked, progress))
+        judged = self._heeding_particles(self._judged(found, asked, progress))
+        judged = self._heeding_records(judged)
         extended = judged.causes and judged.after is not judged.before
         if extended and judged.gain is None and not self.records.held_out:
             return replace(judged, notes=(*judged.notes, NOT_MEASURED))
@@ -93,6 +99,21 @@ class HeldOut:
         ):
             return replace(judged, notes=(*judged.notes, TESTS_NOT_USED))
         return judged
+
+    def _heeding_particles(self, judged: Judged) -> Judged:
+        """The same, with a note and maybe no names where the moment filter is far from the likelihood.
+
+        Of the answer of the free run, too: what noise explains of it is drawn with parameters by that filter.
+        """
+        both = (judged.before, judged.after)
+        missed = nats_missed(*both, self.searched, self.seed)
+        if not missed:
+            return judged
+        before, after = (log_likelihood_of(one, self.searched) for one in both)
+        extended = bool(judged.causes) and judged.after is not judged.before
+        notes = (missed_in_words(missed, after - before, extended), *judged.notes)
+        doubted = judged.verdict in NAMES and missed > after - before
+        return replace(judged, verdict=Verdict.UNKNOWN if doubted else judged.verdict, notes=notes)
 
     def _heeding_records(self, judged: Judged) -> Judged:
         """The same where the records have one set of parameters; else with a note, and maybe no names."""

@@ -150,6 +150,9 @@ class Said(HeldOut):
     def _asked(self, search):
         return None, self.objections.get(search.rounds[0].refits[0].effect.name, "")
 
+    def _heeding_particles(self, judged):
+        return judged
+
 
 @pytest.mark.parametrize(
     ("objections", "verdict", "causes"),
@@ -196,6 +199,9 @@ class Measured(HeldOut):
 
     def _gain(self, search, beside=None):
         return LOSS if beside is None else None
+
+    def _heeding_particles(self, judged):
+        return judged
 
 
 def test_what_is_shown_is_judged_also_where_the_free_run_decides_and_names_nothing():
