@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from engine.data.series import Series
@@ -23,6 +25,23 @@ def nats_apart(rows: int, ess: float) -> float:
 def nats_short(rows: int, ess: float) -> float:
     """Nats by which that of a particle filter may be below the truth: half its variance is its bias."""
     return nats_apart(rows, ess) + 0.5 * rows / max(ess, 1.0)
+
+
+def left_in_words(times: Sequence[float], ess: Sequence[float]) -> str:
+    """A sentence on rows, at these times, at which one particle was left, or none; "" without such rows.
+
+    The moment filter may have lost the series itself, where a state has two likely values.
+    """
+    if not len(times):
+        return ""
+    first = next((t for t, left in zip(times, ess, strict=True) if not left > 0.0), None)
+    if first is not None:  # NaN is none either
+        return f"No particle was left from t = {first:g} on."
+    rows = "1 row" if len(times) == 1 else f"{len(times)} rows"
+    return (
+        f"One particle was left at {rows}, first at t = {times[0]:g}. The log-likelihood may be far too low by "
+        "that: see whether that of many more particles is the same."
+    )
 
 
 def lost_in_words(
