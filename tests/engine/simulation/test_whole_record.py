@@ -173,7 +173,8 @@ def test_a_model_that_takes_one_time_in_a_call(within):
 
     def dynamics(a, u, t, dt, theta):
         calls.append(len(a))
-        return model.dynamics(a, u if t < 1e9 else 2.0 * u, t, dt, theta)
+        late = float(str(t)) > 1e9  # which is not recorded
+        return model.dynamics(a, 2.0 * u if late else u, t, dt, theta)
 
     user = replace(model, dynamics=dynamics)
     if within:
@@ -183,6 +184,22 @@ def test_a_model_that_takes_one_time_in_a_call(within):
     assert len(solved(user, series)) == 1
     assert not calls  # it is remembered
     np.testing.assert_array_equal(run(user, series)[0], loop(user, series)[0])
+
+
+@pytest.mark.parametrize("within", [False, True])
+def test_a_condition_on_one_time_is_recorded_and_the_record_found_as_a_whole(within):
+    model = engine.get_model("oscillator")
+    series = record_of(model)
+
+    def dynamics(a, u, t, dt, theta):
+        return model.dynamics(a, u if t < 1e9 else 2.0 * u, t, dt, theta)
+
+    user = replace(model, dynamics=dynamics)
+    if within:
+        user = promote(user, list(model.linear))
+    assert len(solved(user, series)) == len(series)
+    one, other = run(user, series)[0], loop(user, series)[0]
+    np.testing.assert_allclose(one, other, atol=1e-9 * np.abs(other).max())
 
 
 def test_a_condition_on_all_rows_is_found():
