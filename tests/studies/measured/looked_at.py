@@ -14,13 +14,14 @@ more candidates here, as eleven of the parameters are months. The alarm is right
 from the model 4.1 % show as much as the record in the screen (said: 4.0 %), which has 70 % of the level. Asked
 for steps, pulses, ramps and drifts alone, it names the step, its row and its size.""",
     "emps": """\
-The names are as documented, the sizes are not: the model's own offset, -1.4 +- 0.4 N (-3.2 by the authors of the data),
-its own friction, 18.4 +- 2.8 N (20.4), both held at zero before, and a loss by the square of the velocity, which is
-not documented; the pulses are 8.4 mm off. Code before fits of the simulation began on growing parts of the record
-stopped at the first two, -3.27 +- 0.04 N and 21.1 +- 0.8 N, 6.0 mm off (5.8 mm where least squares takes all 24,841
-samples at 1 kHz). The base fits of both are alike to 3 micrometres on the pulses: so little decides what is taken
-next on a record that repeats one movement, where Coulomb friction, one that depends on the velocity, and a drift of
-the reading run nearly alike. PySINDy's seven terms, Coulomb friction among them, come to 3.76 mm.
+The names are as documented, the sizes are not: the model's own offset, -1.4 +- 0.4 N (-3.2 by the authors of
+the data), its own friction, 18.4 +- 2.8 N (20.4), both held at zero before, and a loss by the square of the
+velocity, which is not documented; the pulses are 8.4 mm off. Code before fits of the simulation began on
+growing parts of the record stopped at the first two, -3.27 +- 0.04 N and 21.1 +- 0.8 N, 6.0 mm off (5.8 mm
+where least squares takes all 24,841 samples at 1 kHz). The base fits of both are alike to 3 micrometres on
+the pulses: so little decides what is taken next on a record that repeats one movement, where Coulomb
+friction, one that depends on the velocity, and a drift of the reading run nearly alike. PySINDy's seven
+terms, Coulomb friction among them, come to 3.76 mm.
 One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would
 end with a worse free run than it began with. PySINDy's careful setting names a term that is not there.
 Readings are thinned. By code before this row's, of every 8th sample the load's random walk that is fitted one
