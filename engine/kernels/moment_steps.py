@@ -38,7 +38,8 @@ def observe(room, known, t, h, C, R, rows, beside, m, P, y, innovations, S, log_
     """Row t of y: :func:`transform`, :func:`gaussian_update`, and the new :func:`sigma_points`, in place.
 
     h, C, R at the points ``rows``, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
-    (T, K, ny, ny) and ``log_p`` (T, K) are filled. Returns Cov(y_t, x_t) (ny, nx, K).
+    (T, K, ny, ny) and ``log_p`` (T, K) are filled. ``known`` as :func:`transform_into` has it. Returns
+    Cov(y_t, x_t) (ny, nx, K).
     """
     y_mean, S_t, cross, _ = room[4]
     transform_into(h, C, R, beside, y_mean, S_t, cross, room[1], known)

@@ -27,8 +27,8 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
     rows, beside, m, P = state
     innovations, S, terms = found
     predicted, P_predicted, filtered, P_filtered = moments
-    K, (points, na) = m.shape[1], (beside[0].shape[0], rows.shape[1])
-    room = room_for(K, na, m.shape[0], y.shape[1])
+    points, na = beside[0].shape[0], rows.shape[1]
+    room = room_for(m.shape[1], na, m.shape[0], y.shape[1])
     keeps, begun = predicted.shape[0] > 0, False
     for k in range(len(y)):
         if visited[0].shape[0]:
@@ -37,8 +37,8 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
             return False
         if keeps:
             predicted[k], P_predicted[k] = m[:, 0], P[:, :, 0]
-        seen = k > 0 and places_y[1].size == 0, k > 0 and places_y[2].size == 0
-        cross = observe(room, seen, k, h, C, R, rows, beside, m, P, y, innovations, S, terms)
+        known = k > 0 and places_y[1].size == 0, k > 0 and places_y[2].size == 0
+        cross = observe(room, known, k, h, C, R, rows, beside, m, P, y, innovations, S, terms)
         if keeps:
             filtered[k], P_filtered[k] = m[:, 0], P[:, :, 0]
             keep_reading(k, cross[:, :, 0].copy(), S[k, 0], y[k], moments, gains)
@@ -54,9 +54,9 @@ def filter_taped(reading, moving, record, start, state, y, found, visited, momen
             continue
         if not evaluate(tape_x, links_x, W_x, places_x, flat_x, rows, u_step[k], t[k], dt[k]):
             return False
-        moved = begun and places_x[1].size == 0, begun and places_x[2].size == 0
+        known = begun and places_x[1].size == 0, begun and places_x[2].size == 0
         begun = True
-        cross = predict(room, moved, f, A, Q, rows, beside, m, P)
+        cross = predict(room, known, f, A, Q, rows, beside, m, P)
         if keeps:
             gains[2][k] = slopes(cross[:, :, 0].copy(), P_filtered[k])
     return True

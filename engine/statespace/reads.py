@@ -18,9 +18,8 @@ from typing import Any
 SEES_ALL = frozenset(
     {"locals", "vars", "eval", "exec", "dir", "_getframe", "currentframe", "stack"}
 )
-OF_ALL = frozenset(
-    {"count", "index"}
-)  # attributes of a tuple that look at all of it, as _asdict does
+# attributes of a tuple that look at all of it, as _asdict does
+OF_ALL = frozenset({"count", "index"})
 CODES = 1000  # of functions, whose answers are kept: extensions of a model share most of theirs
 
 

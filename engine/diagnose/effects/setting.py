@@ -117,7 +117,7 @@ class Setting:
         values = self._values(channel)
         if values.size:
             return float(np.quantile(values, level))
-        return self.zero(channel) + self.size(channel) * float(ndtri(level))
+        return self.known_zeros.get(channel, 0.0) + self.size(channel) * float(ndtri(level))
 
     def distance(self, channel: str, level: float) -> float:
         """The distance from its zero within which the channel is for a share ``level`` of the record."""
@@ -182,10 +182,10 @@ class Setting:
         """
         if channel in self.known_zeros:
             return float(self.known_zeros[channel])
+        if channel not in self._afloat:
+            return zero_of(self.unit(channel))
         values = self._values(channel)
-        if not values.size:
-            return 0.0
-        return float(np.median(values)) if channel in self._afloat else zero_of(self.unit(channel))
+        return float(np.median(values)) if values.size else 0.0
 
     def may_be_off(self, channel: str) -> bool:
         """Whether the channel has a zero, as a voltage has and a temperature in degC has not."""

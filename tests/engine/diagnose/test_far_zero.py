@@ -8,6 +8,7 @@ from engine.diagnose import diagnose
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits import forms as module
 from engine.diagnose.refits.refit import refit
 from engine.diagnose.refits.refitted import cost
@@ -155,6 +156,7 @@ def test_a_temperature_counts_from_where_there_is_none_in_whatever_unit(unit, pe
     for name in ("T", "coolant", "thermometer"):
         assert settings[0].zero(name) == 0.0
         assert settings[1].zero(name) == pytest.approx(zero)
+        assert Setting(other).zero(name) == pytest.approx(zero)  # as an effect is hidden by
     gains = []
     for model, series, one in zip((plain, other), (here, there), settings, strict=True):
         effect, fit = make_effect("input-gain:coolant", one), quasi_ml(model, series, model.theta())
