@@ -18,7 +18,14 @@ from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
-from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short, nothing_better, runs_worse
+from engine.diagnose.gain.adoption import (
+    NOT_MEASURED,
+    Decision,
+    falls_short,
+    not_beside,
+    nothing_better,
+    runs_worse,
+)
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise, with_noise_of
 from engine.diagnose.judging.by_record import word_of_records
@@ -138,9 +145,12 @@ class HeldOut:
     def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
         search, free_run = found.search, asked.search
         if asked.decides and free_run is not None:
+            notes: tuple[str, ...] = ()
             if free_run.found:
+                free_run, notes = self._without_losers(free_run)
+                asked = replace(asked, search=free_run, missing=free_run.missing)
                 causes, before, after = causes_of(free_run), free_run.before, free_run.after
-                gain = self._gain(search, free_run)
+                gain = self._gain_of(before, after)
             else:  # what is shown, and judged, is what the likelihood has named
                 causes, before, after = named_by(search), search.base, search.final
                 gain = self._gain(search)
@@ -148,7 +158,7 @@ class HeldOut:
             none_better = decision is not None and gain is not None and nothing_better(gain)
             heeded, verdict = heeding(asked, free_run.verdict, decision, none_better)
             if heeded.decides:
-                return Judged(verdict, causes, before, after, gain, search, heeded)
+                return Judged(verdict, causes, before, after, gain, search, heeded, notes)
             return self._by_likelihood(found, verdict, heeded, progress)
         verdict = Verdict.UNKNOWN if asked.refutes else found.verdict
         return self._by_likelihood(found, verdict, asked, progress)
@@ -180,25 +190,43 @@ class HeldOut:
         unnamed = [found.generic] if found.generic else []
         return settle(found.screen, [*refits, *unnamed], self.searched, setting)
 
-    def _gain(self, search: Search, beside: FreeRunSearch | None = None) -> Gain | None:
-        """What an extension gains: the likelihood's, or one that the free run found ``beside`` it.
+    def _without_losers(self, found: FreeRunSearch) -> tuple[FreeRunSearch, tuple[str, ...]]:
+        """What the free run found, without last additions that lose where nothing was fitted; a note on each.
+
+        The rows left out that it chose by are of the record searched, and each addition bends to its errors
+        further. Where it takes too many no name is trusted, be there fewer or not.
+        """
+        notes: tuple[str, ...] = ()
+        while len(found.found) > 1 and not found.is_patchwork:
+            lost = self._gain_of(found.fits[-2], found.fits[-1])
+            if lost is None or not (lost.decision is Decision.LOSES or nothing_better(lost)):
+                break
+            last, found = found.found[-1], found.without_last()
+            named = [name for one in found.found for name in one.names]
+            notes = (*notes, not_beside([*last.names], named, lost))
+        return found, notes
+
+    def _gain(self, search: Search) -> Gain | None:
+        """What the likelihood's extension gains.
 
         None without one, and where no rows are held out and it is not of time alone.
         """
         causes, before, after = named_by(search), search.base, search.final
         chosen = [r.refits[0].effect for r in search.rounds if r.equivalent]
-        if beside is not None:
-            causes, before, after = causes_of(beside), beside.before, beside.after
-            chosen = []
         if not causes or after is before:
             return None
-        tests = self.records.tests
         begins = [e for e in chosen if e.traits.of_record]
         goes_on = self._later and (not begins or len(begins) < len(chosen))
         if not goes_on and all(cause.where == "time" for cause in causes):
             times = [name for e in chosen for name in e.sought]
             return measure_gain_interleaved(before, after, self._searched, times, self.seed)
-        train, held_out = self.records.train, self.records.held_out
+        return self._gain_of(before, after, begins)
+
+    def _gain_of(
+        self, before: QuasiFit, after: QuasiFit, begins: Sequence[Effect] = ()
+    ) -> Gain | None:
+        """What a fit gains over another on the rows held out, if any are; ``begins`` are of one record."""
+        tests, train, held_out = self.records.tests, self.records.train, self.records.held_out
         if not held_out:
             return None
         return measure_gain(

@@ -19,6 +19,7 @@ from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.particle_likelihood import in_noise_only
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
+from engine.estimation.vanished import revived
 from engine.filters.neighbours import Visited
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
@@ -128,6 +129,8 @@ class WarmStart:
             raise lost
         found.extend(self._scales_again(found, theta, climb))
         found.sort(key=lambda fit: -fit.log_likelihood)
+        if found and (more := revived(found[0], self.searched)) is not found[0]:
+            found.insert(0, more)
         apart: list[QuasiFit] = []
         for fit in found:
             near = fit.log_likelihood >= found[0].log_likelihood - self.rivals

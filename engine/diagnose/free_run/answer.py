@@ -26,6 +26,7 @@ from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
+from engine.estimation.vanished import revived
 from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import first_state
 from engine.statespace.model import Array, MixedModel, Theta
@@ -46,21 +47,38 @@ CALLED_FOR = 0.25  # of the squared error of the others: what is found takes as 
 class FreeRunSearch:
     """All rounds of the second criterion.
 
-    ``before`` and ``after`` are the fits of the free run without and with what was found, as maxima of the
-    likelihood over the noise alone: parameters that a noise-free run shows are those of the free run. ``gains``
-    are 2 x the log-likelihood that each round gained so. ``missing`` is a force without a name, where the last
-    round has an alarm that no name explains and some function of a signal would. ``coarse`` where the steps
-    are too long for what was found last: what would be found beside it may be their error. ``alone`` is the
-    only one of several records that calls for what was found, see :func:`only_one`.
+    ``fits`` are those of the free run without what was found and with what each round found more, as maxima of
+    the likelihood over the noise alone: parameters that a noise-free run shows are those of the free run.
+    ``gains`` are 2 x the log-likelihood that each round gained so. ``missing`` is a force without a name, where
+    the last round has an alarm that no name explains and some function of a signal would. ``coarse`` where the
+    steps are too long for what was found last: what would be found beside it may be their error. ``alone`` is
+    the only one of several records that calls for what was found, see :func:`only_one`.
     """
 
     rounds: tuple[FreeRound, ...]
-    before: QuasiFit
-    after: QuasiFit
+    fits: tuple[QuasiFit, ...]
     gains: tuple[float, ...]
     missing: MissingFunction | None = None
     coarse: bool = False
     alone: Series | None = None
+
+    @property
+    def before(self) -> QuasiFit:
+        """The fit without what was found."""
+        return self.fits[0]
+
+    @property
+    def after(self) -> QuasiFit:
+        """The fit with all of it."""
+        return self.fits[-1]
+
+    def without_last(self) -> FreeRunSearch:
+        """The search as if its last round that found something had found nothing."""
+        k = len(self.found) - 1
+        rounds = (*self.rounds[:k], replace(self.rounds[k], survivors=()))
+        return replace(
+            self, rounds=rounds, fits=self.fits[: k + 1], gains=self.gains[:k], missing=None
+        )
 
     @property
     def found(self) -> tuple[Candidate, ...]:
@@ -145,15 +163,14 @@ def search_free_runs(
     if last.alarmed and last.chosen is None:
         missing = missing_function(fit, last.losses, setting_of(fit, held, whole or records))
     progress(STAGE, 0.5 * (SEARCHED + 1.0))
-    before, after = noise[0], noise[-1]
+    gains = tuple(2.0 * np.diff([one.log_likelihood for one in noise]))
     if whole and done[0].survivors:
-        before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
-    values = [one.log_likelihood for one in noise]
-    gains = tuple(2.0 * np.diff(values))
+        fits = [done[0].fit, *(one.chosen.fit for one in done if one.chosen is not None)]
+        noise = [on_whole(*both, whole) for both in zip(fits, noise, strict=True)]
     alone = None
     if done[0].survivors and len(whole or records) > 1 and max(gains) <= LITTLE:
         alone = only_one(done[0].fit, fit)
-    return FreeRunSearch(tuple(done), before, after, gains, missing, coarse, alone)
+    return FreeRunSearch(tuple(done), tuple(noise), gains, missing, coarse, alone)
 
 
 def only_one(before: Fitted, after: Fitted) -> Series | None:
@@ -232,7 +249,7 @@ def noise_fit(fit: Fitted) -> QuasiFit:
         one if len(one) <= LONG else one.part(0, _whole(STRETCH, one)) for one in fit.records
     ]
     if fit.noise:
-        found = quasi_ml(fit.model, records, fit.theta, fit.noise)
+        found = revived(quasi_ml(fit.model, records, fit.theta, fit.noise), records)
         return replace(found, free=fit.free, information=information(fit, found))
     whole = quasi_ml(fit.model, records, fit.theta, fit.free, max_iterations=0)
     return replace(whole, information=information(fit, whole))

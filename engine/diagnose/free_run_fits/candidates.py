@@ -16,6 +16,7 @@ from engine.diagnose.free_run_fits.columns import CANNOT, columns
 from engine.diagnose.free_run_fits.fitted import Fitted, fit_runs, with_effects
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
+from engine.estimation.vanished import revived
 from engine.simulation.free_run import first_state
 from engine.statespace.model import Array
 
@@ -75,4 +76,4 @@ def _with_own_noise(fit: Fitted) -> Array:
     if not fit.noise:
         return np.asarray(fit.theta)
     found = quasi_ml(fit.model, fit.records, fit.theta, fit.noise, tolerance=TOLERANCE)
-    return np.asarray(found.theta)
+    return np.asarray(revived(found, fit.records, TOLERANCE).theta)

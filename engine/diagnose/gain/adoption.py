@@ -231,6 +231,18 @@ def _one_step(gain: Gain) -> str:
     return f"its loss one step ahead is within chance ({probability(gain.p_loss)})"
 
 
+def not_beside(last: list[str], named: list[str], gain: Gain) -> str:
+    """Why what was found ``last`` beside others is left out: they do worse with it on held-out data."""
+    worse = _runs([o for o in gain.outputs if o.difference > 0.0])
+    if gain.log_density < 0.0:
+        worse.append(f"its log-density one step ahead is lower by {number(-gain.log_density)}")
+    said = enumerated(worse or ["its filter or its free run is lost there"])
+    return (
+        f"Beside {enumerated(named)} the free run also finds {enumerated(last)}, which is left out: with it "
+        f"the extension does worse on data that it has not seen, as {said}."
+    )
+
+
 def _losses(gain: Gain) -> list[str]:
     out = []
     if _predicts_worse(gain.p_loss, gain.log_density):

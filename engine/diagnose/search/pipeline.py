@@ -32,6 +32,7 @@ from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.estimation.start import WarmStart
+from engine.estimation.vanished import revived
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 from engine.ties import flat_directions, ties_in_words
 from engine.words import enumerated
@@ -280,7 +281,7 @@ def fit_base(
     def tell(k: int) -> None:
         progress(begun + (1.0 - begun) * share_done(k))
 
-    fit = quasi_ml(model, series, start, free, callback=tell)
+    fit = revived(quasi_ml(model, series, start, free, callback=tell), [series])
     return replace(fit, rivals=tuple(tuple(map(float, other)) for other in others))
 
 

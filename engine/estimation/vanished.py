@@ -1,0 +1,72 @@
+"""Another maximum of the likelihood where a noise that went to nothing on the way is large.
+
+The likelihood is flat in a standard deviation at 0, so a search that once came there stays: no slope leads on,
+and between nothing and as much of it as the data call for there may be a valley.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.errors import EngineError
+from engine.estimation.expectation import parameter_scale
+from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml
+from engine.statespace.model import Array
+
+NOTHING = (
+    2.0  # nats that a parameter which has vanished is worth at most: less cannot be told from none
+)
+SIZES = 10.0 ** np.arange(-2.0, 4.1, 0.5)  # of the typical one, at which it is looked for
+CLIMBS = 3  # at most, from the best of them
+
+
+def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOUGH) -> QuasiFit:
+    """The fit, or a higher one with more of what has vanished in it, searched for up to ``tolerance`` (nats).
+
+    Vanished have free parameters that cannot be negative and do as much at their lower bound.
+    """
+    for _ in range(CLIMBS):
+        start = _more_of_it(fit, all_series)
+        if start is None:
+            break
+        try:
+            found = quasi_ml(fit.model, all_series, start, fit.free, tolerance=tolerance)
+        except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            break
+        if not found.log_likelihood > fit.log_likelihood + ENOUGH:
+            break
+        fit = replace(found, rivals=fit.rivals)
+    return fit
+
+
+def _more_of_it(fit: QuasiFit, all_series: Sequence[Series]) -> Array | None:
+    """The likeliest theta (n_theta,) with more of one that has vanished; None where none is likelier."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    indices = model.free_indices(fit.free)
+    sizes = indices[model.lower[indices] >= 0.0]
+    least = np.concatenate([theta[None], _each(theta, sizes, model.lower[sizes, None])])
+    value, *without = log_likelihoods(model, all_series, least)
+    gone = sizes[np.abs(np.array(without) - value) <= NOTHING]
+    if not len(gone):
+        return None
+    scales = np.array([parameter_scale(model, theta, int(k)) for k in gone])
+    more = _each(
+        theta,
+        gone,
+        np.clip(scales[:, None] * SIZES, model.lower[gone, None], model.upper[gone, None]),
+    )
+    values = log_likelihoods(model, all_series, more)
+    best = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
+    return more[best] if values[best] > value + ENOUGH else None
+
+
+def _each(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:
+    """Theta with one of its components at one of its ``values`` (n, K), each in turn (n K, n_theta)."""
+    out = np.tile(theta, (values.size, 1))
+    out[np.arange(values.size), np.repeat(indices, values.shape[1])] = values.ravel()
+    return out

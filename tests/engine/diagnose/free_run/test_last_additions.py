@@ -1,0 +1,60 @@
+"""What a free run adds last stays only where it does no worse on data that nothing was fitted to."""
+
+from dataclasses import replace
+from types import SimpleNamespace as Some
+
+import numpy as np
+import pytest
+
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.free_run.answer import FreeRunSearch
+from engine.diagnose.free_run.search import FreeRound
+from engine.diagnose.held_out import HeldOut
+from engine.diagnose.records import Records
+from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import DRIVE, hidden
+
+COULOMB, SQUARE, OFFSET = "coulomb:speed", "quadratic:speed", "input-offset:force"
+THERE = {"coulomb_speed": 0.4, "input_offset_force": 0.5}
+
+
+def found_in_turn(train, names):
+    """A search that has found these effects, one in each round."""
+    model, fits = DRIVE, [quasi_ml(DRIVE, train)]
+    rounds = []
+    for name in names:
+        effect = make_effect(name, Setting(DRIVE))
+        model = effect.apply(model)
+        fits.append(quasi_ml(model, train))
+        chosen = Some(names=(name,), added=(effect,))
+        rounds.append(FreeRound(None, np.zeros(1), None, (), (), ((chosen,),), 0.05))
+    return FreeRunSearch(tuple(rounds), tuple(fits), (100.0,) * len(names))
+
+
+@pytest.mark.parametrize(("last", "size", "stays"), [(OFFSET, None, True), (SQUARE, 0.1, False)])
+def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
+    there = THERE if last == OFFSET else {"coulomb_speed": 0.4}
+    train, test = (hidden([COULOMB, OFFSET][: len(there)], there, seed) for seed in (1, 2))
+    found = found_in_turn(train, [COULOMB, last])
+    if size is not None:  # as one that has bent to the errors of its record
+        theta = found.after.theta.asdict() | {"quadratic_speed": size}
+        after = replace(found.after, theta=found.after.model.theta(theta))
+        found = replace(found, fits=(*found.fits[:-1], after))
+    held_out = HeldOut(Records(train, tests=(test,)), train, 0)
+    left, notes = held_out._without_losers(found)
+    assert [one.names for one in left.found] == [(COULOMB,), (last,)][: 1 + stays]
+    assert len(left.fits) == len(left.gains) + 1 == len(left.found) + 1
+    assert bool(notes) == (not stays)
+    if not stays:
+        assert COULOMB in notes[0]
+        assert last in notes[0]
+        assert "m/s rms instead of" in notes[0]
+
+
+def test_the_only_one_stays_to_be_judged_as_a_whole():
+    train, test = (hidden(["coulomb:speed"], {"coulomb_speed": 0.4}, seed) for seed in (1, 2))
+    found = found_in_turn(train, [SQUARE])
+    left, notes = HeldOut(Records(train, tests=(test,)), train, 0)._without_losers(found)
+    assert left is found
+    assert not notes

@@ -1,0 +1,57 @@
+"""A noise that a search has left at nothing is found where it is large."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.estimation.quasi_ml import quasi_ml
+from engine.estimation.start import WarmStart
+from engine.estimation.vanished import revived
+
+SERVO = engine.get_model("servo")
+NOISE = ("sigma_v", "sigma_load", "sigma_y")
+DT = 0.04  # s
+
+
+def drive(seed, friction, offset):
+    """A drive with friction, simulated, and the best free run of one without any."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(1.5 * rng.normal(size=30), 20)[:, None]
+    theta = {"M": 95.0, "Fv": 203.0, "Fc": friction, "offset": offset}
+    noise = {"sigma_v": 2e-3, "sigma_load": 1e-3, "sigma_y": 1e-4}
+    series = engine.simulate(SERVO, theta | noise, len(u), rng, u=u, dt=DT).series
+    start = {"Fc": 0.0, "offset": 0.0}
+    fit = engine.fit_simulation(SERVO, series, start, ["M", "Fv"], n_starts=4)
+    return series, fit.theta
+
+
+@pytest.mark.parametrize(("seed", "friction", "offset"), [(4, 20.0, -3.3), (4, 10.0, -3.0)])
+def test_noise_of_a_wrong_model_is_not_left_at_nothing(seed, friction, offset):
+    series, theta = drive(seed, friction, offset)
+    stuck = quasi_ml(SERVO, series, theta, NOISE)
+    assert stuck.converged
+    assert stuck.theta["sigma_load"] == 0.0  # a local maximum: no slope leads away
+    found = revived(stuck, [series])
+    assert found.log_likelihood > stuck.log_likelihood + 50.0
+    assert found.theta["sigma_load"] > 10.0
+    high = quasi_ml(SERVO, series, {**theta.asdict(), "sigma_load": 200.0}, NOISE)
+    assert found.log_likelihood == pytest.approx(high.log_likelihood, abs=0.1)
+
+
+def test_a_start_of_an_estimation_has_it_too():
+    series, theta = drive(4, 10.0, -3.0)
+    high = quasi_ml(SERVO, series, {**theta.asdict(), "sigma_load": 200.0}, NOISE)
+    search = WarmStart(SERVO, [series], SERVO.free_indices(NOISE))
+    search(theta)
+    assert search.apart[0].log_likelihood == pytest.approx(high.log_likelihood, abs=0.1)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_noise_that_is_not_there_stays_at_nothing(unit):
+    """A constant, read with noise: its walk has nothing to do, in any unit."""
+    model = engine.get_model("local-level")
+    rng = np.random.default_rng(5)
+    series = engine.Series(unit * (100.0 + rng.standard_normal(200)), dt=1.0)
+    fit = quasi_ml(model, series, {"q": unit**2, "r": unit**2, "level": 100.0 * unit})
+    assert fit.theta["q"] < 0.01 * fit.theta["r"]
+    assert revived(fit, [series]) is fit
