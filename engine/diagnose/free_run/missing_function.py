@@ -19,7 +19,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.search import GAINED, WORTH
 from engine.diagnose.free_run_fits.columns import CANNOT, run_of, slope
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, state_names, with_effects
-from engine.diagnose.free_run_fits.folds import folds_of, losses, p_better
+from engine.diagnose.free_run_fits.folds import folds_of, losses, p_better, times
 from engine.diagnose.free_run_fits.linear import orthonormal
 from engine.errors import ModelError
 from engine.simulation.sensitivities import Along
@@ -75,13 +75,13 @@ def missing_function(fit: Fitted, own: Array, setting: Setting) -> MissingFuncti
             out = losses(found, folds)
         except CANNOT:
             continue
-        if best is None or np.nanmean(out) < np.nanmean(best[1]):
+        if best is None or times(out, best[1]) < 1.0:
             best = found, out, one, effect
     if best is None:
         return None
     found, out, one, effect = best
     p_value = min(FITTED * p_better(out, own), 1.0)
-    left = float(np.exp(0.5 * (np.nanmean(out) - np.nanmean(own))))
+    left = times(out, own)
     if p_value > GAINED or left > 1.0 - WORTH:
         return None
     mean, sd = _curve(found, effect, one.directions)

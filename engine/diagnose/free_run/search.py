@@ -19,7 +19,14 @@ from engine.diagnose.free_run.null import Alarm, alarm
 from engine.diagnose.free_run_fits.candidates import candidates
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, Rival, finished, with_effects
-from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
+from engine.diagnose.free_run_fits.folds import (
+    Folds,
+    folds_of,
+    held_out_error,
+    losses,
+    p_better,
+    times,
+)
 from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.refits.likeness import as_foreseen, rank
 from engine.diagnose.refits.refitted import LEAST_ERRORS
@@ -50,12 +57,14 @@ EARNED = 0.25  # of the same: what a second effect must take beside the first
 class Candidate:
     """A refit with the effects it adds, its losses (blocks,) on rows left out, and its own p-values.
 
-    ``p_gain`` of no gain over the model without, ``p_best`` of being no worse than the best candidate.
+    ``held_out`` is its error there: that of the model without, times what is typical of a block. ``p_gain`` is
+    of no gain over the model without, ``p_best`` of being no worse than the best candidate.
     """
 
     fit: Fitted
     added: tuple[Effect, ...]
     losses: Array
+    held_out: float
     p_gain: float
     p_best: float
 
@@ -63,11 +72,6 @@ class Candidate:
     def names(self) -> tuple[str, ...]:
         """Of the effects that it adds."""
         return tuple(effect.name for effect in self.added)
-
-    @property
-    def held_out(self) -> float:
-        """Error on rows left out: the root of the geometric mean over blocks, weighed as residuals are."""
-        return float(np.exp(0.5 * np.nanmean(self.losses)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +91,8 @@ class FreeRound:
 
     @property
     def held_out(self) -> float:
-        """Error of the model without more on rows left out, as of :class:`Candidate`."""
-        return float(np.exp(0.5 * np.nanmean(self.losses)))
+        """Error of the model without more on rows left out."""
+        return held_out_error(self.losses)
 
     @property
     def alarmed(self) -> bool:
@@ -247,9 +251,17 @@ def _judged(
             rows.append((fit, losses(fit, folds)))
         except CANNOT:
             continue
-    rows.sort(key=lambda row: float(np.nanmean(row[1])))
+    rows.sort(key=lambda row: times(row[1], own))
+    error = held_out_error(own)
     return [
-        Candidate(fit, fit.effects[known:], out, p_better(out, own), p_better(rows[0][1], out))
+        Candidate(
+            fit,
+            fit.effects[known:],
+            out,
+            error * times(out, own),
+            p_better(out, own),
+            p_better(rows[0][1], out),
+        )
         for fit, out in rows
     ]
 
@@ -268,18 +280,19 @@ def survivors(
     where they have no more of either. The best is the best of those judged, of ``among`` at least. They are
     added to the fit ``before``.
     """
-    worth = np.nanmean(own) + np.log1p(-WORTH)
     unsure = () if before is None else _open(before)
     gaining = [
         c
         for c in judged
-        if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth and _determined(c, unsure)
+        if c.p_gain <= GAINED
+        and times(c.losses, own) ** 2 <= 1.0 - WORTH
+        and _determined(c, unsure)
     ]
     if not gaining:
         return ()
     # the best of so many is better than it will be again
     level = NOT_WORSE / max(len(judged), among)
-    near = gaining[0].held_out + NEAR * float(np.exp(0.5 * np.nanmean(own)))
+    near = gaining[0].held_out + NEAR * held_out_error(own)
     left = [
         c
         for c in gaining
@@ -348,8 +361,8 @@ def _determined(candidate: Candidate, unsure: Sequence[str] = ()) -> bool:
 
 def _within(share: float, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those whose error on rows left out is at most that much larger than the least."""
-    most = (1.0 + share) * min(c.held_out for c in candidates)
-    return [c for c in candidates if c.held_out <= most]
+    best = min(candidates, key=lambda c: c.held_out).losses
+    return [c for c in candidates if times(c.losses, best) <= 1.0 + share]
 
 
 def _foreseen(candidate: Candidate) -> bool:

@@ -32,7 +32,7 @@ from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, Rival
-from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses
+from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, times
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.judging.findings import Verdict
@@ -354,7 +354,7 @@ def _displaced(named: Sequence[Refit], first: FreeRound) -> bool:
     answer = {refit.effect.name for refit in named}
     own = [c for c in first.candidates if set(c.names) == answer]
     chosen = first.chosen
-    return bool(own) and chosen is not None and chosen.held_out < FAR_BETTER * own[0].held_out
+    return bool(own) and chosen is not None and times(chosen.losses, own[0].losses) < FAR_BETTER
 
 
 def _part(records: Sequence[Series], given: Sequence[Series], whole: Sequence[Series]) -> str:

@@ -2,7 +2,8 @@
 
 A record is one continuous run; the rows of a fold are only left out of the fit. What is compared are the
 logarithms of the mean squared error of blocks: one extreme block would carry the mean of the errors
-themselves, and hide every difference in the others.
+themselves, and hide every difference in the others. So may one of these logarithms, which is left out with the
+one at the other end; a whole fold of extreme blocks is not.
 """
 
 from __future__ import annotations
@@ -90,10 +91,44 @@ def losses(fit: Fitted, folds: Folds) -> Array:
     return out
 
 
+def held_out_error(losses: Array) -> float:
+    """The root of the geometric mean of blocks' squared errors, weighed as residuals are."""
+    return float(np.exp(0.5 * np.nanmean(losses)))
+
+
+def times(losses: Array, others: Array) -> float:
+    """How many times as large errors are as others, by their losses in the same blocks; 1 without any."""
+    d = _apart(losses, others)
+    return float(np.exp(0.5 * d[_cut(d)].mean())) if len(d) else 1.0
+
+
 def p_better(better: Array, worse: Array) -> float:
-    """One-sided p-value of the first losses being no smaller than the second, paired by blocks."""
-    d = (worse - better)[np.isfinite(worse - better)]
+    """One-sided p-value of the first losses being no smaller than the second, paired by blocks.
+
+    Student's t of means without the ends (Yuen 1974).
+    """
+    d = _apart(worse, better)
     if len(d) < 2 or not np.ptp(d) > 0.0:
         return 0.5 if not len(d) or d[0] == 0.0 else float(d[0] < 0.0)
-    error = d.std(ddof=1) / np.sqrt(len(d))
-    return float(student_sf(d.mean() / error, len(d) - 1))
+    kept = d[_cut(d)]
+    n = len(kept)
+    spread = np.clip(d, kept[0], kept[-1]).std(ddof=1)
+    if not spread > 0.0:
+        return 0.5 if kept[0] == 0.0 else float(kept[0] < 0.0)
+    error = spread * np.sqrt((len(d) - 1) / (n * (n - 1)))
+    return float(student_sf(kept.mean() / error, n - 1))
+
+
+def _apart(losses: Array, others: Array) -> Array:
+    """Differences of losses, sorted, where both are known."""
+    d = losses - others
+    return np.sort(d[np.isfinite(d)])
+
+
+def _cut(d: Array) -> slice:
+    """Without the least and the largest of every BLOCKS: one block may be as far off as it likes.
+
+    As one does that alone tells a parameter: left out, the run there says what it likes.
+    """
+    ends = len(d) // BLOCKS
+    return slice(ends, len(d) - ends)

@@ -108,7 +108,7 @@ def rounds(found: Diagnosis) -> dict[str, Any]:
 def _round(one: FreeRound) -> dict[str, Any]:
     return {
         "alarm": vars(one.alarm) | {"p": one.alarm.p_value},
-        "held_out": float(np.exp(0.5 * np.nanmean(one.losses))),
+        "held_out": one.held_out,
         "screened": [[*s.names, s.share] for s in one.screened[:LISTED]],
         "candidates": [
             [" + ".join(c.names), c.held_out, c.fit.rms, c.p_gain, c.p_best, c.fit.n_parameters]

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.stats import ttest_rel
+from scipy.stats import ttest_ind, ttest_rel
 
 from engine.data.series import Series
 from engine.diagnose.free_run.windows import windows
-from engine.diagnose.free_run_fits.folds import BLOCKS, FOLDS, folds_of, p_better
+from engine.diagnose.free_run_fits.folds import BLOCKS, FOLDS, folds_of, p_better, times
 
 
 def _record(T, seed=0, gap=slice(0, 0)):
@@ -66,11 +66,40 @@ def test_no_record_is_left_out_as_a_whole():
 
 def test_losses_are_compared_as_pairs():
     rng = np.random.default_rng(5)
-    a, b = rng.standard_normal((2, 16))
-    assert p_better(a, b + 0.4) == pytest.approx(ttest_rel(a, b + 0.4, alternative="less").pvalue)
+    a, b = rng.standard_normal((2, BLOCKS - 1))
+    few = p_better(a, b + 0.4)
+    assert few == pytest.approx(ttest_rel(a, b + 0.4, alternative="less").pvalue)
+    a, b = rng.standard_normal((2, BLOCKS))
+    least = ttest_ind(b - a + 0.4, np.zeros(BLOCKS), equal_var=False, trim=1 / BLOCKS)
+    assert p_better(a, b + 0.4) == pytest.approx(least.pvalue / 2.0)
     assert p_better(a, a) == 0.5
     a[3] = np.nan
     assert 0.0 < p_better(a, b) < 1.0
+    assert times(a, a + 2.0 * np.log(3.0)) == pytest.approx(1.0 / 3.0)
+
+
+def test_one_block_decides_nothing_but_a_fold_of_extreme_ones_does():
+    """The first effect halves the error of every block but one, of which the other rows say nothing."""
+    rng = np.random.default_rng(3)
+    without = rng.standard_normal(BLOCKS)
+    halved = without - 2.0 * np.log(2.0) + 0.1 * rng.standard_normal(BLOCKS)
+    halved[5] = without[5] + 8.0
+    assert p_better(halved, without) < 1e-6
+    assert times(halved, without) == pytest.approx(0.5, rel=0.05)
+    halved[: BLOCKS // FOLDS] = (
+        without[: BLOCKS // FOLDS] + 8.0
+    )  # another range: it does not carry there
+    assert p_better(halved, without) > 0.5
+    assert times(halved, without) > 1.0
+
+
+def test_p_values_without_the_ends_are_those_of_chance():
+    """Of 4000 pairs of losses that differ by chance, normal or with heavy tails."""
+    rng = np.random.default_rng(9)
+    for draw in (rng.standard_normal, lambda size: rng.standard_t(3.0, size)):
+        p = np.array([p_better(a, b) for a, b in draw((4000, 2, BLOCKS))])
+        assert 0.04 < np.mean(p <= 0.05) < 0.06
+        assert 0.004 < np.mean(p <= 0.01) < 0.016
 
 
 def test_a_long_record_is_searched_on_windows_that_differ():

@@ -28,7 +28,7 @@ def candidate(fit, name, own):
     setting = setting_for(MODEL, fit.records[0], np.asarray(fit.theta))
     effect = make_effect(name, setting)
     found = with_effects(fit, [Pick(effect, 1e-3)])
-    return Candidate(found, (effect,), own - 3.0, 1e-6, 0.5), setting
+    return Candidate(found, (effect,), own - 3.0, 0.2, 1e-6, 0.5), setting
 
 
 def test_an_effect_whose_size_may_as_well_be_zero_does_not_survive(fit):
@@ -40,7 +40,7 @@ def test_an_effect_whose_size_may_as_well_be_zero_does_not_survive(fit):
     (name,) = (effect.size.name for effect in beside.effects[1:])
     k = beside.problem.names(beside.problem.active).index(name)
     assert abs(beside.p[k]) < 2.0 * np.sqrt(beside.covariance[k, k])
-    nothing = Candidate(beside, beside.effects, own - 3.0, 1e-6, 0.5)
+    nothing = Candidate(beside, beside.effects, own - 3.0, 0.2, 1e-6, 0.5)
     assert survivors(own, [nothing], setting) == ()
 
 
@@ -67,7 +67,9 @@ def test_a_size_in_a_unit_that_nothing_tells_survives(fit):
     own = losses(base, folds_of(base.records))
     setting = setting_for(model, fit.records[0], np.asarray(theta))
     effect = make_effect("cubic:position->velocity", setting)
-    found = Candidate(with_effects(base, [Pick(effect, -4.0)]), (effect,), own - 3.0, 1e-6, 0.5)
+    found = Candidate(
+        with_effects(base, [Pick(effect, -4.0)]), (effect,), own - 3.0, 0.2, 1e-6, 0.5
+    )
     assert {"per", "gain"} <= {
         n for n, e in zip(base.free, _errors(base), strict=True) if np.isinf(e)
     }
@@ -89,7 +91,7 @@ def test_a_dead_zone_that_the_record_does_not_leave_does_not_survive(fit):
     names = found.problem.names(found.problem.active)
     assert size in names
     assert width.name not in names
-    wide = Candidate(found, (effect,), own - 3.0, 1e-6, 0.5)
+    wide = Candidate(found, (effect,), own - 3.0, 0.2, 1e-6, 0.5)
     assert survivors(own, [wide], setting) == ()
 
 
