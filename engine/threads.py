@@ -7,6 +7,7 @@ discretised, three times slower, and tens of times where other work keeps the co
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
@@ -16,6 +17,7 @@ from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 T = TypeVar("T")
+_HERE = threading.local()
 
 
 def single_threaded(function: Callable[P, T]) -> Callable[P, T]:
@@ -23,8 +25,14 @@ def single_threaded(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def run(*args: P.args, **options: P.kwargs) -> T:
-        with _libraries().limit(limits=1, user_api="blas"):
+        if getattr(_HERE, "limited", False):  # by a caller
             return function(*args, **options)
+        with _libraries().limit(limits=1, user_api="blas"):
+            _HERE.limited = True
+            try:
+                return function(*args, **options)
+            finally:
+                _HERE.limited = False
 
     return run
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable
+from functools import lru_cache
 
 _FACTOR = re.compile(r"\s*(?:(\()|([^\s()/*·^]+))")
 _POWER = re.compile(r"\s*(?:\^|\*\*)\s*(-?\d+(?:\.\d+)?)")
@@ -133,6 +134,7 @@ def alike(one: str, other: str) -> bool:
     return product(one) == product(other)
 
 
+@lru_cache(maxsize=4096)  # each pass of a filter asks for all its channels
 def differ(one: str, other: str) -> bool:
     """Whether two units are surely not the same: by their size and kind where both are known, else as written.
 
