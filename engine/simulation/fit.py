@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 from engine.data.faults import about_faults
-from engine.data.given import as_series_list, check_enough
+from engine.data.given import as_series_list
 from engine.data.series import Series
-from engine.errors import ModelError
 from engine.randomness import check_seed
 from engine.simulation.free_run import (
     FreeRun,
@@ -29,10 +26,10 @@ from engine.simulation.free_run import (
     root_mean_squares,
     spread_of,
 )
-from engine.simulation.growing import grown
 from engine.simulation.other_minima import other_minimum, said_of
 from engine.simulation.own_steps import about_own_free_runs
 from engine.simulation.problem import FreeRunProblem
+from engine.simulation.starts import Progress, best_of_starts, speaks_at_its_end
 from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.clock import about_clock
@@ -56,8 +53,6 @@ RUNS_AWAY = (
 )
 AWAY = 2.0  # ranges of the readings
 ROUNDS = 3  # of fits, where parameters turn out to matter that did not at the start
-POOR = 0.5  # standard deviations of the readings
-SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,11 +249,11 @@ def fit_simulation(
     for one in listed:
         check_start(model, model.theta(theta0), one)
     theta, indices = model.theta(theta0), model.free_indices(free)
-    told, x1 = _Told(callback), None
+    told, x1 = Progress(callback), None
     for left in reversed(range(ROUNDS)):  # what changes nothing at the start may where the fit ends
         problem = FreeRunProblem(model, listed, theta, indices, x1)
-        best, tried, stopped = _fitted(problem, n_starts, seed, max_evaluations, told)
-        again = bool(left and not stopped and _speaks(problem, best, indices))
+        best, tried, stopped = best_of_starts(problem, n_starts, seed, max_evaluations, told)
+        again = bool(left and not stopped and speaks_at_its_end(problem, best, indices))
         if not stopped and told.stops(more=again) and again:
             stopped = told.done
         if stopped or not again:
@@ -314,57 +309,6 @@ def fit_simulation(
     )
 
 
-def _fitted(
-    problem: FreeRunProblem,
-    n_starts: int,
-    seed: int,
-    evaluations: int,
-    told: _Told,
-) -> tuple[OptimizeResult, list[OptimizeResult], int]:
-    """The best of the starts, followed to its end, and all that were tried, unless stopped after so many."""
-    problem.look_for_silent()
-    check_enough(problem.series, problem.active.size, len(problem.series) * problem.uncertain.size)
-    starts = problem.starts(n_starts, np.random.default_rng(seed))
-    tried: list[OptimizeResult] = []
-
-    def least() -> OptimizeResult:
-        return min(tried, key=lambda end: float(end.cost))
-
-    def ends(p: Array | None) -> bool:
-        """Follow a start for a little, where it can be; whether the caller stops at those tried so far."""
-        if p is not None:
-            with suppress(ModelError):
-                tried.append(problem.descend(p, SHORT))
-        return told.stops() and bool(tried)
-
-    told.begin(len(starts) + 2)
-    if any(map(ends, starts)) or ends(grown(problem, problem.start(), SHORT)):
-        return least(), tried, len(tried)
-    if not tried:
-        problem.runs_away()
-    if _follows_poorly(problem, least()):  # all may have slipped
-        told.begin(len(starts) + 1)
-        if any(ends(grown(problem, start, SHORT)) for start in starts):
-            return least(), tried, len(tried)
-    return problem.descend(least().x, evaluations), tried, 0
-
-
-def _follows_poorly(problem: FreeRunProblem, end: OptimizeResult) -> bool:
-    """Whether a run leaves a large part of what the readings move."""
-    readings = sum(int(one.observed.sum()) for one in problem.series)
-    return bool(2.0 * end.cost > (POOR * problem.unit) ** 2 * readings)
-
-
-def _speaks(problem: FreeRunProblem, best: OptimizeResult, free: NDArray[np.intp]) -> bool:
-    """Whether parameters that changed nothing at the start do where the fit has ended."""
-    if not problem.silent.size:
-        return False
-    theta, x1 = problem.split(best.x)
-    there = FreeRunProblem(problem.model, problem.series, theta, free, x1)
-    there.look_for_silent()
-    return there.silent.size < problem.silent.size
-
-
 def with_runs(
     model: MixedModel, series: Sequence[Series], content: Mapping[str, Any]
 ) -> SimulationFit:
@@ -395,27 +339,6 @@ def _runs(model: MixedModel, theta: Theta, series: Sequence[Series], x1: Array) 
         free_run(model, theta, one, x[: model.na], x[model.na :])
         for one, x in zip(series, x1, strict=True)
     ]
-
-
-class _Told:
-    """What the caller is told: steps done of those known so far, counted on from round to round."""
-
-    def __init__(self, callback: Callable[[int, int], object] | None) -> None:
-        self.callback = callback
-        self.done = self.steps = self.round = 0
-
-    def begin(self, steps: int) -> None:
-        """A round of so many steps."""
-        self.steps, self.round = self.done + steps, steps
-
-    def stops(self, more: bool = False) -> bool:
-        """Tell that one more step is done, and whether another round follows; whether that stops the fit."""
-        self.done += 1
-        try:
-            steps = self.steps + more * self.round
-            return self.callback is not None and self.callback(self.done, steps) is True
-        except StopIteration:
-            return True
 
 
 def _run_away(runs: Sequence[FreeRun]) -> bool:
