@@ -22,6 +22,7 @@ from engine.diagnose.gain.adoption import (
     NOT_MEASURED,
     Decision,
     falls_short,
+    in_its_place,
     not_beside,
     nothing_better,
     runs_worse,
@@ -147,7 +148,7 @@ class HeldOut:
         if asked.decides and free_run is not None:
             notes: tuple[str, ...] = ()
             if free_run.found:
-                free_run, notes = self._without_losers(free_run)
+                free_run, notes = self._borne_out(free_run)
                 asked = replace(asked, search=free_run, missing=free_run.missing)
                 causes, before, after = causes_of(free_run), free_run.before, free_run.after
                 gain = self._gain_of(before, after)
@@ -190,21 +191,33 @@ class HeldOut:
         unnamed = [found.generic] if found.generic else []
         return settle(found.screen, [*refits, *unnamed], self.searched, setting)
 
-    def _without_losers(self, found: FreeRunSearch) -> tuple[FreeRunSearch, tuple[str, ...]]:
-        """What the free run found, without last additions that lose where nothing was fitted; a note on each.
+    def _borne_out(self, found: FreeRunSearch) -> tuple[FreeRunSearch, tuple[str, ...]]:
+        """What the free run found, as far as it does no worse where nothing was fitted; a note on each change.
 
         The rows left out that it chose by are of the record searched, and each addition bends to its errors
-        further. Where it takes too many no name is trusted, be there fewer or not.
+        further. Where the last one loses, another of its set that does not stands for it; without one, it is
+        left out beside others. Where it takes too many no name is trusted, be there fewer or not.
         """
         notes: tuple[str, ...] = ()
-        while len(found.found) > 1 and not found.is_patchwork:
-            lost = self._gain_of(found.fits[-2], found.fits[-1])
-            if lost is None or not (lost.decision is Decision.LOSES or nothing_better(lost)):
+        while not found.is_patchwork and (lost := self._lost(found)) is not None:
+            chosen, *others = found.rounds[len(found.found) - 1].survivors
+            left = [group for group in others if self._lost(found.left_with([group])) is None]
+            if left:
+                found = found.left_with(left)
+                notes = (*notes, in_its_place(chosen[0].names, found.found[-1].names, lost))
+                break
+            if len(found.found) == 1:
                 break
             last, found = found.found[-1], found.without_last()
             named = [name for one in found.found for name in one.names]
-            notes = (*notes, not_beside([*last.names], named, lost))
+            notes = (*notes, not_beside(last.names, named, lost))
         return found, notes
+
+    def _lost(self, found: FreeRunSearch) -> Gain | None:
+        """What the last addition of a free run's search loses on held-out data, None where it does not."""
+        gain = self._gain_of(found.fits[-2], found.fits[-1])
+        lost = gain is not None and (gain.decision is Decision.LOSES or nothing_better(gain))
+        return gain if lost else None
 
     def _gain(self, search: Search) -> Gain | None:
         """What the likelihood's extension gains.

@@ -18,9 +18,7 @@ from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml
 from engine.statespace.model import Array
 
-NOTHING = (
-    2.0  # nats that a parameter which has vanished is worth at most: less cannot be told from none
-)
+NOTHING = 2.0  # nats: what is worth less cannot be told from nothing, and stays there
 SIZES = 10.0 ** np.arange(-2.0, 4.1, 0.5)  # of the typical one, at which it is looked for
 CLIMBS = 3  # at most, from the best of them
 
@@ -28,7 +26,8 @@ CLIMBS = 3  # at most, from the best of them
 def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOUGH) -> QuasiFit:
     """The fit, or a higher one with more of what has vanished in it, searched for up to ``tolerance`` (nats).
 
-    Vanished have free parameters that cannot be negative and do as much at their lower bound.
+    Vanished have free parameters that cannot be negative and do as much at their lower bound, as far as
+    ``NOTHING`` tells.
     """
     for _ in range(CLIMBS):
         start = _more_of_it(fit, all_series)
@@ -38,7 +37,7 @@ def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOU
             found = quasi_ml(fit.model, all_series, start, fit.free, tolerance=tolerance)
         except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             break
-        if not found.log_likelihood > fit.log_likelihood + ENOUGH:
+        if not found.log_likelihood > fit.log_likelihood + NOTHING:
             break
         fit = replace(found, rivals=fit.rivals)
     return fit
@@ -62,7 +61,7 @@ def _more_of_it(fit: QuasiFit, all_series: Sequence[Series]) -> Array | None:
     )
     values = log_likelihoods(model, all_series, more)
     best = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
-    return more[best] if values[best] > value + ENOUGH else None
+    return more[best] if values[best] > value else None
 
 
 def _each(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:

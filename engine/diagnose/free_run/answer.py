@@ -49,18 +49,25 @@ class FreeRunSearch:
 
     ``fits`` are those of the free run without what was found and with what each round found more, as maxima of
     the likelihood over the noise alone: parameters that a noise-free run shows are those of the free run.
-    ``gains`` are 2 x the log-likelihood that each round gained so. ``missing`` is a force without a name, where
-    the last round has an alarm that no name explains and some function of a signal would. ``coarse`` where the
-    steps are too long for what was found last: what would be found beside it may be their error. ``alone`` is
-    the only one of several records that calls for what was found, see :func:`only_one`.
+    ``heights`` are their log-likelihoods on what was searched, be it a part of the ``whole`` records.
+    ``missing`` is a force without a name, where the last round has an alarm that no name explains and some
+    function of a signal would. ``coarse`` where the steps are too long for what was found last: what would be
+    found beside it may be their error. ``alone`` is the only one of several records that calls for what was
+    found, see :func:`only_one`.
     """
 
     rounds: tuple[FreeRound, ...]
     fits: tuple[QuasiFit, ...]
-    gains: tuple[float, ...]
+    heights: tuple[float, ...]
     missing: MissingFunction | None = None
     coarse: bool = False
     alone: Series | None = None
+    whole: tuple[Series, ...] = ()
+
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """2 x the log-likelihood that each round gained, over the noise alone."""
+        return tuple(2.0 * np.diff(self.heights))
 
     @property
     def before(self) -> QuasiFit:
@@ -76,8 +83,20 @@ class FreeRunSearch:
         """The search as if its last round that found something had found nothing."""
         k = len(self.found) - 1
         rounds = (*self.rounds[:k], replace(self.rounds[k], survivors=()))
+        fits, heights = self.fits[: k + 1], self.heights[: k + 1]
+        return replace(self, rounds=rounds, fits=fits, heights=heights, missing=None)
+
+    def left_with(self, groups: Sequence[tuple[Candidate, ...]]) -> FreeRunSearch:
+        """The search as if its last round that found something had these survivors, the first one chosen."""
+        less, k = self.without_last(), len(self.found) - 1
+        fit = groups[0][0].fit
+        noise = noise_fit(fit)
+        after = on_whole(fit, noise, self.whole) if self.whole else noise
         return replace(
-            self, rounds=rounds, fits=self.fits[: k + 1], gains=self.gains[:k], missing=None
+            less,
+            rounds=(*less.rounds[:k], replace(self.rounds[k], survivors=tuple(groups))),
+            fits=(*less.fits, after),
+            heights=(*less.heights, noise.log_likelihood),
         )
 
     @property
@@ -163,14 +182,15 @@ def search_free_runs(
     if last.alarmed and last.chosen is None:
         missing = missing_function(fit, last.losses, setting_of(fit, held, whole or records))
     progress(STAGE, 0.5 * (SEARCHED + 1.0))
-    gains = tuple(2.0 * np.diff([one.log_likelihood for one in noise]))
+    heights = tuple(one.log_likelihood for one in noise)
     if whole and done[0].survivors:
         fits = [done[0].fit, *(one.chosen.fit for one in done if one.chosen is not None)]
         noise = [on_whole(*both, whole) for both in zip(fits, noise, strict=True)]
     alone = None
-    if done[0].survivors and len(whole or records) > 1 and max(gains) <= LITTLE:
+    if done[0].survivors and len(whole or records) > 1 and max(2.0 * np.diff(heights)) <= LITTLE:
         alone = only_one(done[0].fit, fit)
-    return FreeRunSearch(tuple(done), tuple(noise), gains, missing, coarse, alone)
+    every = tuple(whole)
+    return FreeRunSearch(tuple(done), tuple(noise), heights, missing, coarse, alone, every)
 
 
 def only_one(before: Fitted, after: Fitted) -> Series | None:

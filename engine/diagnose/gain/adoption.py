@@ -231,16 +231,28 @@ def _one_step(gain: Gain) -> str:
     return f"its loss one step ahead is within chance ({probability(gain.p_loss)})"
 
 
-def not_beside(last: list[str], named: list[str], gain: Gain) -> str:
+def not_beside(last: Sequence[str], named: Sequence[str], gain: Gain) -> str:
     """Why what was found ``last`` beside others is left out: they do worse with it on held-out data."""
+    return (
+        f"Beside {enumerated([*named])} the free run also finds {enumerated([*last])}, which is left out: with "
+        f"it the extension does worse on data that it has not seen, as {_all_losses(gain)}."
+    )
+
+
+def in_its_place(first: Sequence[str], then: Sequence[str], gain: Gain) -> str:
+    """Why what the free run had chosen ``first`` is not said, but what stands for it ``then``."""
+    return (
+        f"Rows left out do not tell {enumerated([*first])} from {enumerated([*then])} in free run, data that "
+        f"neither has seen do: with the former {_all_losses(gain)}."
+    )
+
+
+def _all_losses(gain: Gain) -> str:
+    """What is worse with an extension, surely or not."""
     worse = _runs([o for o in gain.outputs if o.difference > 0.0])
     if gain.log_density < 0.0:
         worse.append(f"its log-density one step ahead is lower by {number(-gain.log_density)}")
-    said = enumerated(worse or ["its filter or its free run is lost there"])
-    return (
-        f"Beside {enumerated(named)} the free run also finds {enumerated(last)}, which is left out: with it "
-        f"the extension does worse on data that it has not seen, as {said}."
-    )
+    return enumerated(worse or ["its filter or its free run is lost there"])
 
 
 def _losses(gain: Gain) -> list[str]:

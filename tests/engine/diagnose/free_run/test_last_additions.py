@@ -8,9 +8,12 @@ import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.free_run.answer import FreeRunSearch
-from engine.diagnose.free_run.search import FreeRound
+from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit
+from engine.diagnose.free_run.search import Candidate, FreeRound
+from engine.diagnose.free_run_fits.candidates import fit_of
+from engine.diagnose.free_run_fits.fitted import Pick, with_effects
 from engine.diagnose.held_out import HeldOut
+from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.records import Records
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden
@@ -29,7 +32,7 @@ def found_in_turn(train, names):
         fits.append(quasi_ml(model, train))
         chosen = Some(names=(name,), added=(effect,))
         rounds.append(FreeRound(None, np.zeros(1), None, (), (), ((chosen,),), 0.05))
-    return FreeRunSearch(tuple(rounds), tuple(fits), (100.0,) * len(names))
+    return FreeRunSearch(tuple(rounds), tuple(fits), tuple(fit.log_likelihood for fit in fits))
 
 
 @pytest.mark.parametrize(("last", "size", "stays"), [(OFFSET, None, True), (SQUARE, 0.1, False)])
@@ -42,7 +45,7 @@ def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
         after = replace(found.after, theta=found.after.model.theta(theta))
         found = replace(found, fits=(*found.fits[:-1], after))
     held_out = HeldOut(Records(train, tests=(test,)), train, 0)
-    left, notes = held_out._without_losers(found)
+    left, notes = held_out._borne_out(found)
     assert [one.names for one in left.found] == [(COULOMB,), (last,)][: 1 + stays]
     assert len(left.fits) == len(left.gains) + 1 == len(left.found) + 1
     assert bool(notes) == (not stays)
@@ -52,9 +55,31 @@ def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
         assert "m/s rms instead of" in notes[0]
 
 
+def test_what_loses_on_other_data_leaves_its_place_to_another_of_its_set():
+    train, test = (hidden([COULOMB], {"coulomb_speed": 0.4}, seed) for seed in (1, 2))
+    base = fit_of(quasi_ml(DRIVE, train), [train])
+
+    def survivor(name, size):
+        effect = make_effect(name, Setting(DRIVE))
+        start = with_effects(base, [Pick(effect, size, *effect.probes[:1])])
+        bent = start.model.theta({**start.theta.asdict(), effect.size.name: size})
+        return Candidate(replace(start, theta=bent), (effect,), np.zeros(1), 1.0, 0.01, 0.5)
+
+    groups = [(survivor(SQUARE, 0.1),), (survivor(COULOMB, 0.4),), (survivor(OFFSET, 1.0),)]
+    one = FreeRound(base, np.zeros(1), None, (), (), tuple(groups), 0.05)
+    fits = noise_fit(base), noise_fit(groups[0][0].fit)
+    found = FreeRunSearch((one,), fits, tuple(fit.log_likelihood for fit in fits))
+    assert found.verdict is Verdict.SET
+    left, notes = HeldOut(Records(train, tests=(test,)), train, 0)._borne_out(found)
+    assert left.found[0].names == (COULOMB,)
+    assert left.verdict is Verdict.NAMED
+    assert SQUARE in notes[0]
+    assert COULOMB in notes[0]
+
+
 def test_the_only_one_stays_to_be_judged_as_a_whole():
     train, test = (hidden(["coulomb:speed"], {"coulomb_speed": 0.4}, seed) for seed in (1, 2))
     found = found_in_turn(train, [SQUARE])
-    left, notes = HeldOut(Records(train, tests=(test,)), train, 0)._without_losers(found)
+    left, notes = HeldOut(Records(train, tests=(test,)), train, 0)._borne_out(found)
     assert left is found
     assert not notes

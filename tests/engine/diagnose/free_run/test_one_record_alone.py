@@ -88,6 +88,6 @@ def test_what_one_record_alone_calls_for_is_not_named():
     fit = Some(rms=1.0)
     last = Some(chosen=None, survivors=(), alarmed=False)
     first = Some(chosen=Some(fit=fit, added=()), survivors=((),), fit=fit)
-    assert FreeRunSearch((first, last), (None, None), (-1.0,)).verdict is Verdict.NAMED
-    found = FreeRunSearch((first, last), (None, None), (-1.0,), alone=heated(60, 1))
+    assert FreeRunSearch((first, last), (None, None), (0.5, 0.0)).verdict is Verdict.NAMED
+    found = FreeRunSearch((first, last), (None, None), (0.5, 0.0), alone=heated(60, 1))
     assert found.verdict is Verdict.UNKNOWN

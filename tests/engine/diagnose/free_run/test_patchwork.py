@@ -24,7 +24,7 @@ def searched(*rounds, errors, size=1.3):
         done.append(Some(chosen=chosen, survivors=((),), alarmed=True, fit=Some(rms=rms)))
     for one, then in pairwise(done):
         one.chosen.fit = then.fit
-    return FreeRunSearch(tuple(done), (None, after), ())
+    return FreeRunSearch(tuple(done), (None, after), (0.0,))
 
 
 @pytest.mark.parametrize(
