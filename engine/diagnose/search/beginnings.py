@@ -4,6 +4,10 @@ Of two faults the first that is named may be neither: a pulse of the force takes
 the sensor leave together, and beside it a path from the input takes the rest. Exchanging one of such two for
 another makes it worse. Noise takes what several faults leave together, and nothing of it is seen any more. So
 where several effects were found, or noise alone, the rivals of the first round are tried as the first.
+
+A drift is weighed there as a straight line, and its bend is looked for once it is found. What settles, as a
+drive that warms up, then loses to an effect with a memory, whose first state fades as well. So drifts that were
+behind are tried as the first beside any other name.
 """
 
 from __future__ import annotations
@@ -14,6 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.kinds.bend import DRIFTS
+from engine.diagnose.judging.verdict import counted
 from engine.diagnose.refits.found import Search, size_cost
 from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import FORESEEN, MARGIN, Round
@@ -22,10 +28,26 @@ from engine.diagnose.screening.screen import Screen
 OTHERS = 3  # rivals that are tried as the first
 
 
-def may_begin_otherwise(found: Search) -> bool:
-    """Whether it is several effects that may hold each other, or noise, which holds all; none is outliers."""
+def may_begin_otherwise(found: Search, begun: Round) -> bool:
+    """Whether it is several effects that may hold each other, or noise, which holds all; none is outliers.
+
+    Or one, where a drift is behind it.
+    """
     outliers = any(one.effect.traits.outliers for one in found.named)
-    return (len(found.named) > 1 or _is_noise(found)) and not outliers and not found.of_the_steps
+    return bool(_rivals(found, begun)) and not outliers and not found.of_the_steps
+
+
+def _rivals(found: Search, begun: Round) -> list[Refit]:
+    """What may be the first instead: where one effect was found that is no noise, a drift only."""
+    rivals = [one for one in begun.refits if one.effect.name not in _names(found)]
+    if len(found.named) > 1 or _is_noise(found):
+        return rivals
+    drifts = [one for one in rivals if one.effect.kind in DRIFTS]
+    return [] if any(one.effect.kind in DRIFTS for one in found.named) else drifts
+
+
+def _names(found: Search) -> set[str]:
+    return {one.effect.name for one in found.named}
 
 
 def _is_noise(found: Search) -> bool:
@@ -46,12 +68,11 @@ def best_beginning(
     if it may come out ahead: at first without simulations, which only ever find less. One that comes out even
     is told, unless the two share an effect.
     """
-    names = {one.effect.name for one in found.named}
+    names = _names(found)
     promised: list[tuple[float, Refit]] = []
-    for rival in begun.refits:
-        outlying = rival.effect.traits.outliers or rival.effect.name in names
+    for rival in _rivals(found, begun):
         if (
-            outlying
+            rival.effect.traits.outliers
             or (_is_noise(found) and rival.effect.family == "noise")
             or rival.score <= 0.0
             or len(promised) == OTHERS
@@ -69,12 +90,12 @@ def best_beginning(
         return found
     again = other(led, True)
     lead = again.score(series) - score
-    theirs = {one.effect.name for one in again.named}
+    theirs = _names(again)
     if not found.alarm_left:
         if names <= theirs:
             return found  # beside these it has looked for more, and there was too little of it
-        more = max(len(again.named) - len(found.named), 0)
-        lead -= more * _choice_cost(begun)
+        ours, others = (counted(r.effect for r in one.named) for one in (found, again))
+        lead -= max(len(others) - len(ours), 0) * _choice_cost(begun)
     if lead > MARGIN:
         return again
     if lead >= -MARGIN and not theirs & names:

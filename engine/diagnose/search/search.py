@@ -107,7 +107,7 @@ def search(  # noqa: PLR0913
         seed=seed,
     )
     found, begun = look(progress=progress, kept=kept, enough=enough)
-    if begun is None or not may_begin_otherwise(found):
+    if begun is None or not may_begin_otherwise(found, begun):
         return found
 
     def beside(rival: Refit) -> Screen:

@@ -18,7 +18,8 @@ from tests.engine.diagnose.test_held import kettle
 
 def refit(name, score=0.0, outliers=False):
     family = "noise" if name in ("variance", "level") else "state"
-    effect = Of(name=name, family=family, traits=Of(outliers=outliers, unnamed=False))
+    traits = Of(outliers=outliers, unnamed=False, bends=name == "bend")
+    effect = Of(name=name, kind=name, family=family, traits=traits)
     return Of(effect=effect, score=score, fit=Of(log_likelihood=0.0))
 
 
@@ -137,16 +138,16 @@ def test_another_search_is_a_stage_that_moves_with_its_rounds(begin):
 
 
 def test_one_effect_and_outliers_begin_in_one_way():
-    assert may_begin_otherwise(a_search(10.0, "drag", "step"))
-    assert not may_begin_otherwise(a_search(10.0, "drag"))
+    assert may_begin_otherwise(a_search(10.0, "drag", "step"), BEGUN)
+    assert not may_begin_otherwise(a_search(10.0, "drag"), BEGUN)
     tails = Search(None, None, (a_round(refit("a")), a_round(refit("b", outliers=True))), False)
-    assert not may_begin_otherwise(tails)
+    assert not may_begin_otherwise(tails, BEGUN)
 
 
 def test_noise_that_leads_alone_is_doubted_by_another_beginning_that_is_no_noise():
     """What several faults leave together looks like noise, beside which nothing is seen."""
     found, tried = a_search(85.0, "variance"), []
-    assert may_begin_otherwise(found)
+    assert may_begin_otherwise(found, BEGUN)
     begun = a_round(refit("variance", 85.0), refit("level", 84.0), *BEGUN.refits[2:])
 
     def other(first, simulating):
@@ -160,6 +161,29 @@ def test_noise_that_leads_alone_is_doubted_by_another_beginning_that_is_no_noise
         "drag",
     ]
     assert tried == ["step", "step"]
+
+
+@pytest.mark.parametrize("gain", [111.0, 100.0])
+def test_beside_one_effect_the_drift_behind_it_is_tried_for_its_bend(gain):
+    """The bend is a part of the drift: it pays for its size, and not for having been chosen among all."""
+    found = a_search(100.0, "path")
+    begun = a_round(refit("path", 100.0), refit("pole", 99.0), refit("parameter-drift", 90.0))
+    assert may_begin_otherwise(found, begun)
+
+    def seen(rival):
+        assert rival.effect.kind == "parameter-drift"
+        return Of(scores=[Of(statistic=30.0, effect=rival.effect)])
+
+    def other(first, simulating):
+        return a_search(gain, "parameter-drift", "bend")
+
+    best = best_beginning(found, begun, SERIES, seen, other)
+    assert (best is found) == (gain < 105.0)
+
+
+def test_beside_a_drift_no_other_is_tried():
+    begun = a_round(refit("drift", 100.0), refit("ramp", 99.0))
+    assert not may_begin_otherwise(a_search(100.0, "drift"), begun)
 
 
 @pytest.mark.slow

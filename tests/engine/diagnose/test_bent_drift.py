@@ -99,3 +99,49 @@ def test_a_sensor_that_drifts_less_and_less_bends_and_the_vessel_is_left_alone()
     assert [cause.effect for cause in found.causes] == ["drift:y", "bend:y"]
     bent = found.causes[1]
     assert bent.size == pytest.approx(0.177, abs=4.0 * bent.standard_error)
+
+
+CAR = engine.continuous(
+    name="car",
+    drift=lambda a, u, t, theta: (
+        [(u[0] - theta.rolling - theta.air * (a[:, 0] / 100.0) ** 2) / theta.m],
+        np.zeros((1, 0)),
+    ),
+    diffusion=lambda a, u, t, theta: [[theta.q]],
+    measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[theta.r]]),
+    initial=lambda theta: (engine.Gaussian([60.0], [[100.0]]), [], np.zeros((0, 0))),
+    nonlinear={"v": "km/h"},
+    inputs={"traction": "kN"},
+    outputs={"speed": "km/h"},
+    parameters=[
+        engine.Parameter("m", 0.4, "kN s h/km", (0.1, 2.0)),
+        engine.Parameter("rolling", 0.2, "kN", (0.0, 2.0)),
+        engine.Parameter("air", 0.4, "kN", (0.0, 5.0)),
+        engine.Parameter("q", 0.01, "(km/h)^2/s", (1e-8, 10.0)),
+        engine.Parameter("r", 0.01, "(km/h)^2", (1e-4, 10.0)),
+    ],
+)
+
+
+@pytest.mark.long
+def test_tyres_that_warm_up_are_no_path_from_the_pedal():
+    """A path whose first state fades bends as well: it was named, and the straight drift ruled out."""
+    rng = np.random.default_rng(100)
+    pedal = np.repeat(rng.uniform(-0.1, 1.4, 20), 25)
+    v, y, fine = 60.0, [], 20
+    for k, force in enumerate(pedal):
+        y.append(v + 0.1 * rng.standard_normal())
+        for i in range(fine):
+            rolling = 0.2 + 0.12 * np.exp(-(k + i / fine) / 250.0)
+            v += (force - rolling - 0.42 * (v / 100.0) ** 2) / 0.4 / fine
+    found = diagnose(
+        CAR,
+        engine.Series(y, u=pedal, dt=1.0),
+        effects=["parameter-drift:rolling", "path"],
+        seed=1,
+        processes=1,
+    )
+    assert found.verdict.value == "named"
+    drift, bent = found.causes
+    assert (drift.effect, bent.effect) == ("parameter-drift:rolling", "parameter-bend:rolling")
+    assert drift.size == pytest.approx(0.12 * np.expm1(-400 / 250), abs=0.006)

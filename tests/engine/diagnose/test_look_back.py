@@ -54,7 +54,7 @@ def looked_back(record, parts, monkeypatch):
     monkeypatch.setattr(joint_refit, "quasi_ml", counting)
     # another beginning would look back, too
     monkeypatch.setattr(
-        import_module("engine.diagnose.search.search"), "may_begin_otherwise", lambda _: False
+        import_module("engine.diagnose.search.search"), "may_begin_otherwise", lambda *_: False
     )
     return look
 

@@ -22,6 +22,7 @@ from engine.statespace.model import MixedModel, Parameter
 
 OF_PARAMETER, OF_SIGNAL = "parameter-bend", "bend"
 STRAIGHT = {OF_PARAMETER: ("parameter-drift",), OF_SIGNAL: ("drift", "ramp")}
+DRIFTS = frozenset(kind for kinds in STRAIGHT.values() for kind in kinds)
 EVEN = 1e-3  # of a sharpness so small the bend is as good as a parabola
 SHARPEST = 30.0  # within a thirtieth of the record nearly all is over
 # Sharpness that is tried: a weak bend does not tell it, and what is no parabola is near one of the others.
