@@ -17,9 +17,10 @@ from engine.diagnose.effects.traits import Course
 from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.echoes import without_echoes
 from engine.diagnose.refits.elsewhere import bent
+from engine.diagnose.refits.likeness import contains
 from engine.diagnose.refits.refit import Way, refit, taken_up, way_of
 from engine.diagnose.refits.refitted import Refit, cost, further_parameters
-from engine.diagnose.refits.rounds import Round, settle
+from engine.diagnose.refits.rounds import MARGIN, Round, settle
 from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
@@ -145,7 +146,7 @@ def _beside_look_alikes(
     progress: Progress,
     kept: Kept,
 ) -> list[Refit]:
-    """The refits, and those of what looks like the one that leads, whatever the screen saw of it.
+    """The refits, and those of what looks like one that leads, whatever the screen saw of it.
 
     The screen sees the slope at no effect: of a kink, of a long time constant, and of a step that noise has
     swallowed, hardly anything. Of an effect in proportion to its size it sees enough. A look-alike that takes
@@ -162,7 +163,10 @@ def _beside_look_alikes(
         again = {r.effect.name for r in apart} - waves
         waves |= again
         alike = [s for s in seen.scores if s.effect.name not in asked and s.statistic > 0.0]
-        alike = [s for s in alike if _look_alikes(s.effect, leading.effect)]
+        even = [r.effect for r in named if r.score >= leading.score - MARGIN]
+        alike = [
+            s for s in alike if _look_alikes(s.effect, leading.effect) or _is_wider(s.effect, even)
+        ]
         alike += [s for s in seen.scores if s.effect.name in again]
         if not alike:
             return refits
@@ -210,6 +214,14 @@ def _look_alikes(one: Effect, other: Effect) -> bool:
         return one.family == "measurement" and other.kind in one.look_alikes
     steps = one.traits.course is other.traits.course is Course.STEP
     return steps or one.kind in other.look_alikes or other.kind in one.look_alikes
+
+
+def _is_wider(one: Effect, leading: Sequence[Effect]) -> bool:
+    """Whether a plainer effect among those that lead is the end of its range that the screen sees.
+
+    As damping is of a slow lag, which the screen asks for no longer than its probes are.
+    """
+    return not one.traits.outliers and any(contains(one, other) for other in leading)
 
 
 def _from_the_leading(
