@@ -319,7 +319,7 @@ def diagnose(  # noqa: PLR0913
         fitted_last = judged.search.final
     if not (judged.causes and has_tails(judged.search)):
         notes.extend(filter(None, [about_own_steps(fitted_last, searched, causes.setting)]))
-    notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
+    notes.extend(at_most_in_words(after.model, after.theta, judged.causes, after.free))
     clock.start("symptoms")
     symptoms = find_symptoms(
         model, judged.before.theta, fine.records.train, covariance_of(judged.before), seed=seed

@@ -300,11 +300,24 @@ def detectable_of(seen: Screen, refitted: Sequence[Refit] = ()) -> tuple[Detecta
     return tuple(sorted(out, key=lambda d: d.effect))
 
 
-def at_most_in_words(extended: MixedModel, theta: Theta, causes: Sequence[Cause]) -> list[str]:
-    """Sentences about causes whose size is the most that is looked for, such as a delay's longest."""
+def at_most_in_words(
+    extended: MixedModel, theta: Theta, causes: Sequence[Cause], free: Sequence[str]
+) -> list[str]:
+    """Sentences about causes whose size is the most that is looked for, such as a delay's longest.
+
+    And about those with another of their ``free`` parameters at an end of its range, where an effect becomes
+    another one: a path that takes longer than the record goes on is a drift, whatever its input does.
+    """
     out = []
     for cause in causes:
-        name = next(iter(cause.parameters), "")  # the size comes first
+        name, *others = cause.parameters or [""]  # the size comes first
+        for other in extended.at_bounds(theta, [one for one in others if one in free]):
+            p = extended.parameters[extended.index(other)]
+            end = "most" if theta[other] > np.mean(p.bounds) else "least"
+            out.append(
+                f"{other} is the {end} that is looked for, {with_unit(float(theta[other]), p.unit)}: there "
+                f"{cause.effect} may stand for an effect of another kind."
+            )
         if not extended.at_bounds(theta, [name]):
             continue
         p = extended.parameters[extended.index(name)]

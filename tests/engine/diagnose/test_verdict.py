@@ -1,5 +1,6 @@
 """When several effects found in turn are trusted, and when they are patches on something else."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -182,7 +183,7 @@ def test_a_sensor_that_clips_entirely_does_so_and_no_more():
     model = make_effect("saturation-sensor:reading", Setting(DRIVE)).apply(DRIVE)
     theta = model.theta({"saturation_sensor_reading": 1.0})
     cause = SimpleNamespace(effect="any", parameters={"saturation_sensor_reading": 1.0})
-    assert at_most_in_words(model, theta, [cause]) == []
+    assert at_most_in_words(model, theta, [cause], ["saturation_sensor_reading"]) == []
 
 
 @pytest.mark.parametrize(("samples", "said"), [(12.0, True), (3.0, False)])
@@ -190,7 +191,25 @@ def test_a_delay_that_is_as_long_as_any_that_is_looked_for_says_so(samples, said
     model = make_effect("delay:force", Setting(DRIVE)).apply(DRIVE)
     theta = model.theta({"delay_force": samples})
     cause = SimpleNamespace(effect="delay:force", parameters={"delay_force": samples})
-    told = at_most_in_words(model, theta, [cause])
+    told = at_most_in_words(model, theta, [cause], ["delay_force"])
     assert told == said * [
         "The size of delay:force is the most that is looked for, 12 samples: it may be more."
     ]
+
+
+@pytest.mark.parametrize(("end", "said"), [(0, "least"), (1, "most"), (None, "")])
+def test_a_time_constant_at_an_end_of_its_range_says_that_the_name_is_not_sure(end, said):
+    model, name = make_effect("pole:speed", Setting(DRIVE)).apply(DRIVE), "pole_speed_time"
+    ends = (0.2, 50.0)
+    model = model.with_parameters(
+        [replace(p, bounds=ends) if p.name == name else p for p in model.parameters]
+    )
+    values = {"pole_speed": 0.3, name: 5.0 if end is None else ends[end]}
+    theta = model.theta(values)
+    cause = SimpleNamespace(effect="pole:speed", parameters=values)
+    told = at_most_in_words(model, theta, [cause], ["pole_speed", name])
+    assert told == bool(said) * [
+        f"{name} is the {said} that is looked for, {values[name]:g} s: there pole:speed may stand for an "
+        "effect of another kind."
+    ]
+    assert at_most_in_words(model, theta, [cause], ["pole_speed"]) == []
