@@ -27,6 +27,7 @@ from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, width
 from engine.estimation.scattered import filters_that_fell
 from engine.estimation.summit import Summit
+from engine.estimation.vanished import revived_by_particles
 from engine.estimation.wandering import (
     kept_best,
     looked_ahead,
@@ -86,12 +87,22 @@ def iterate(
         model, expect, indices, loop.seed, loop.m_step, better_starts, likelihood, ascent, particles
     )
     outcome, last = Outcome.ITERATIONS_USED_UP, None
+
+    def elsewhere() -> Theta | None:
+        if particles is None or (summit is not None and summit.serves(log.theta)):
+            return None
+        return revived_by_particles(model, log.theta, indices, particles, loop.seed)
+
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
+        passed, memory = log.trace, log.memory
         if settled:
-            break
+            start = elsewhere()
+            if start is None:
+                break
+            passed, memory = [start], [None]
         started = time.perf_counter()
-        last = steps.move(k, log.trace, log.memory, steps.least(log.rows))
+        last = steps.move(k, passed, memory, steps.least(log.rows))
         seconds = time.perf_counter() - started
         it = log.add(k, last, seconds)
         if not last.finite:
@@ -101,6 +112,8 @@ def iterate(
         if _stops(loop.callback, it):
             outcome = Outcome.STOPPED_BY_CALLER
             break
+    else:
+        settled = settled and elsewhere() is None
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
     if last is None and log.k:  # all was done before: the last iteration again, for what it said

@@ -1,7 +1,8 @@
 """Another maximum of the likelihood where a noise that went to nothing on the way is large.
 
 The likelihood is flat in a standard deviation at 0, so a search that once came there stays: no slope leads on,
-and between nothing and as much of it as the data call for there may be a valley.
+and between nothing and as much of it as the data call for there may be a valley. The moment filter may have led
+it there where particles know better.
 """
 
 from __future__ import annotations
@@ -14,13 +15,21 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import EngineError
+from engine.estimation.e_steps import ParticleStep
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml
+from engine.estimation.wandering import clearly_likelier
+from engine.filters.sigma_point import free_thetas
+from engine.statespace.base import BaseModel, Theta
 from engine.statespace.model import Array
 
 NOTHING = 2.0  # nats: what is worth less cannot be told from nothing, and stays there
 SIZES = 10.0 ** np.arange(-2.0, 4.1, 0.5)  # of the typical one, at which it is looked for
 CLIMBS = 3  # at most, from the best of them
+NEAR = 0.1  # of its size: so near its lower bound a parameter has vanished for particles ...
+FINER = 10.0 ** np.arange(-2.0, 2.1, 0.25)  # ... which look for it at these sizes
+
+FAILURES = (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 
 def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOUGH) -> QuasiFit:
@@ -35,7 +44,7 @@ def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOU
             break
         try:
             found = quasi_ml(fit.model, all_series, start, fit.free, tolerance=tolerance)
-        except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except FAILURES:
             break
         if not found.log_likelihood > fit.log_likelihood + NOTHING:
             break
@@ -62,6 +71,36 @@ def _more_of_it(fit: QuasiFit, all_series: Sequence[Series]) -> Array | None:
     values = log_likelihoods(model, all_series, more)
     best = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
     return more[best] if values[best] > value else None
+
+
+def revived_by_particles(
+    model: BaseModel,
+    theta: Theta,
+    indices: NDArray[np.intp],
+    particles: ParticleStep,
+    seed: int,
+) -> Theta | None:
+    """Theta with more of a free parameter that has vanished; None where that is not clearly likelier.
+
+    By particle filters, as the moment filter may be what made it vanish.
+    """
+    x = np.asarray(theta)
+    points: list[Array] = []
+    for k in indices[model.lower[indices] >= 0.0].tolist():
+        size = parameter_scale(model, x, k)
+        if x[k] - model.lower[k] <= NEAR * size:
+            values = np.clip(FINER * size, model.lower[k], model.upper[k])
+            points.extend(free_thetas(x, np.array([k]), values[values > x[k], None]))
+    best, highest = None, -np.inf
+    for one in (Theta(point, theta.names) for point in points):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+        try:
+            value = particles.log_likelihood(one, 1, rng)
+        except FAILURES:  # so far out a user's function may fail
+            continue
+        if value > highest:
+            best, highest = one, value
+    return best if best is not None and clearly_likelier(theta, best, particles, seed) else None
 
 
 def _each(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import engine
+from engine.estimation.e_steps import rbps_step
+from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.start import WarmStart
-from engine.estimation.vanished import revived
+from engine.estimation.vanished import revived, revived_by_particles
 
 SERVO = engine.get_model("servo")
 NOISE = ("sigma_v", "sigma_load", "sigma_y")
@@ -55,3 +57,64 @@ def test_noise_that_is_not_there_stays_at_nothing(unit):
     fit = quasi_ml(model, series, {"q": unit**2, "r": unit**2, "level": 100.0 * unit})
     assert fit.theta["q"] < 0.01 * fit.theta["r"]
     assert revived(fit, [series]) is fit
+
+
+def _dynamics(a, u, t, dt, theta):
+    f, A = [1.0 + 0.95 * (a[:, 0] - 1.0), 0.0], [[0.0], [theta.phi]]
+    return f, A, np.diag([theta.s**2, theta.q**2])
+
+
+# a signal z whose gain a wanders: y = a z + e, where the moment filter takes all noise for the gain's
+GAIN = engine.MixedModel(
+    name="gain",
+    dynamics=_dynamics,
+    measurement=lambda a, u, t, theta: ([0.0], a[:, :1, None], [[theta.r**2]]),
+    initial=lambda theta: (engine.Gaussian([1.0], [[0.1]]), [0.0], [[1.0]]),
+    nonlinear={"a": "1"},
+    linear={"z": "1"},
+    outputs={"y": "1"},
+    parameters=[
+        engine.Parameter("s", 0.2, "1", (0.0, 3.0)),
+        engine.Parameter("phi", 0.9, "1", (-1.0, 1.0)),
+        engine.Parameter("q", 0.5, "1", (0.0, 5.0)),
+        engine.Parameter("r", 0.1, "1", (1e-3, 5.0)),
+    ],
+)
+STUCK = {"s": 0.14, "phi": 0.84, "q": 0.63, "r": 2e-3}
+
+
+def gained(seed, r):
+    return engine.simulate(GAIN, {"r": r}, 200, np.random.default_rng(seed), dt=1.0).series
+
+
+def by_particles(series, theta, start):
+    indices = GAIN.free_indices(None)
+    particles = rbps_step(GAIN, [series], 50, 50)
+    return revived_by_particles(GAIN, GAIN.theta(theta), indices, particles, start)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 1])
+def test_particles_find_noise_that_the_moment_filter_took_away(seed):
+    series = gained(5, 0.2)
+    found = by_particles(series, STUCK, seed)
+    assert 0.03 < found["r"] < 0.3
+    likelihood = LikelihoodStep(GAIN, [series])
+    assert likelihood.of(GAIN.theta(STUCK)) > likelihood.of(found)
+
+
+@pytest.mark.long
+def test_particles_leave_noise_that_is_not_there():
+    assert by_particles(gained(5, 1e-3), STUCK, 1) is None
+
+
+def test_particles_look_at_nothing_that_has_not_vanished():
+    assert by_particles(gained(5, 1e-3), {"r": 0.1}, 1) is None
+
+
+@pytest.mark.slow
+def test_an_estimation_does_not_end_where_the_moment_filter_took_noise_away():
+    series = gained(5, 0.2)
+    found = engine.rbps_em(GAIN, series, STUCK, n_particles=50, seed=1, warm_start=False)
+    assert found.outcome is engine.Outcome.CONVERGED
+    assert found.theta["r"] > 0.1
