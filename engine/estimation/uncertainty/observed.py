@@ -47,6 +47,7 @@ from engine.estimation.uncertainty.roots import (
 from engine.estimation.uncertainty.score import Score, inside
 from engine.estimation.uncertainty.score_differences import bend_of, whitened_information
 from engine.estimation.uncertainty.ties import tied_to_bounds, undetermined
+from engine.estimation.vanished import revived_by_particles
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
@@ -168,6 +169,7 @@ def standard_errors(
     centre = [every.at(every.x, which) for which in seeds]
     scores, H = np.array([g for g, _ in centre]), np.mean([h for _, h in centre], axis=0)
     drawn, beyond = _drawn_at_bounds(every, scores, np.diag(H))
+    drawn = drawn or _vanished(every, seed)
     scores, H = scores[:, within], H[np.ix_(within, within)]
     silent = [name for name, h in zip(names, np.diag(H), strict=True) if not h > 0.0]
     if silent:
@@ -355,6 +357,19 @@ def _drawn_at_bounds(
     clearly = 2.0 * noise + SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
     names = np.array(score.names)
     return names[inward > clearly].tolist(), names[-inward > clearly].tolist()
+
+
+def _vanished(score: Score, seed: int) -> list[str]:
+    """The parameter next to its lower bound that particles find clearly likelier far from there, if any.
+
+    No score there tells of it.
+    """
+    if score.particles is None:
+        return []
+    model, theta = score.model, score.theta
+    there = revived_by_particles(model, theta, score.indices, score.particles, seed)
+    each = () if there is None else zip(theta.names, theta, there, strict=True)
+    return [f"{name} (to some {far:.2g})" for name, here, far in each if far != here]
 
 
 def _said_of_stopped(names: Sequence[str]) -> str:

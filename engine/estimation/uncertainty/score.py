@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import ModelError
-from engine.estimation.e_steps import Expect, rbps_step, rts_step
+from engine.estimation.e_steps import Expect, ParticleStep, rbps_step, rts_step
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.particle_likelihood import ParticleLikelihood, likelihood_of
 from engine.estimation.quasi_ml import log_likelihoods, with_scales
@@ -41,6 +41,7 @@ class Score:
     expect: Expect
     exact: bool
     likelihood: LikelihoodStep
+    particles: ParticleStep | None = None
 
     @classmethod
     def of(
@@ -61,7 +62,7 @@ class Score:
         moment = _remembered(likelihood.of)
         likelihood = likelihood_of(model, all_series, theta, n_particles, indices)
         expect = rbps_step(model, all_series, n_particles, n_trajectories, moment=moment)
-        return cls(model, theta, indices, expect.compared, False, likelihood)
+        return cls(model, theta, indices, expect.compared, False, likelihood, expect)
 
     @property
     def names(self) -> tuple[str, ...]:

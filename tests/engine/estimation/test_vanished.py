@@ -113,6 +113,14 @@ def test_particles_look_at_nothing_that_has_not_vanished():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("r", [1e-3, 2e-3])
+def test_errors_are_not_told_as_those_of_an_estimate_there(r):
+    with pytest.warns(engine.NotSettledWarning, match=r"away from the bound of r \(to some 0\.1"):
+        found = engine.standard_errors(GAIN, {**STUCK, "r": r}, gained(5, 0.2), n_particles=50)
+    assert not found.settled
+
+
+@pytest.mark.slow
 def test_an_estimation_does_not_end_where_the_moment_filter_took_noise_away():
     series = gained(5, 0.2)
     found = engine.rbps_em(GAIN, series, STUCK, n_particles=50, seed=1, warm_start=False)
