@@ -81,6 +81,10 @@ def iterate(
     check_count("n_iterations", n)
     check_seed(loop.seed)
     check_m_step(loop.m_step)
+    if loop.tolerance is not None and not loop.tolerance >= 0.0:  # NaN is not
+        raise OptionError(
+            f"tolerance = {loop.tolerance}; a number from 0 on is needed", "tolerance"
+        )
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)
     steps = Steps(

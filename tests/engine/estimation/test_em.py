@@ -9,6 +9,7 @@ import pytest
 
 from engine import (
     MixedModel,
+    OptionError,
     Outcome,
     Parameter,
     Series,
@@ -360,3 +361,11 @@ def test_a_parameter_that_acts_in_a_later_record_only_is_estimated_from_it():
     np.testing.assert_allclose(found[0].theta, found[1].theta, rtol=1e-4)
     errors = standard_errors(model, found[0], [fast, slow], exact=True)
     assert 0.0 < np.sqrt(errors.covariance[0, 0]) < 0.03
+
+
+@pytest.mark.parametrize("estimate", [rbps_em, rts_em, ps_em])
+@pytest.mark.parametrize("tolerance", [-1.0, np.nan])
+def test_a_tolerance_within_which_nothing_settles_is_refused(estimate, tolerance):
+    series = Series([1.0, 2.0, 0.5, 1.5])
+    with pytest.raises(OptionError, match=r"tolerance = .*; a number from 0 on is needed"):
+        estimate(get_model("local-level"), series, tolerance=tolerance)
