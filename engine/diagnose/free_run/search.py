@@ -275,10 +275,10 @@ def survivors(
 ) -> tuple[tuple[Candidate, ...], ...]:
     """Of those that gain, what is not worse than the best, in groups that run alike; the first one is chosen.
 
-    Effects must earn their place, and so must parameters: of what is within ``EARNED`` of the best the fewest
-    effects, of these what is within ``WORTH`` of their best, of these the fewest parameters. Others survive
-    where they have no more of either. The best is the best of those judged, of ``among`` at least. They are
-    added to the fit ``before``.
+    Effects must earn their place, however sure a small gain is, and so must parameters: of what is within
+    ``EARNED`` of the best the fewest effects, of these what is within ``WORTH`` of their best, of these the
+    fewest parameters. Others survive where they have no more of either. The best is the best of those judged,
+    of ``among`` at least. They are added to the fit ``before``.
     """
     unsure = () if before is None else _open(before)
     gaining = [
@@ -292,15 +292,14 @@ def survivors(
         return ()
     # the best of so many is better than it will be again
     level = NOT_WORSE / max(len(judged), among)
-    near = gaining[0].held_out + NEAR * held_out_error(own)
-    left = [
+    few = min(len(c.added) for c in _within(EARNED, gaining))
+    best, *others = (c for c in gaining if len(c.added) <= few)
+    near = best.held_out + NEAR * held_out_error(own)
+    left = [best] + [
         c
-        for c in gaining
-        if p_better(gaining[0].losses, c.losses) > level
-        or (_of_the_model(c) and c.held_out <= near)
+        for c in others
+        if p_better(best.losses, c.losses) > level or (_of_the_model(c) and c.held_out <= near)
     ]
-    few = min(len(c.added) for c in _within(EARNED, left))
-    left = [c for c in left if len(c.added) <= few]
     close = _within(WORTH, left)
     fewest = min(c.fit.n_parameters for c in close)
     left = [c for c in left if c.fit.n_parameters <= fewest]

@@ -12,7 +12,7 @@ from engine.diagnose.free_run.answer import _look_alikes
 from engine.diagnose.free_run.null import Alarm
 from engine.diagnose.free_run.search import Candidate, FreeRound, _errors, survivors
 from engine.diagnose.free_run_fits.fitted import Pick, fit_runs, with_effects
-from engine.diagnose.free_run_fits.folds import folds_of, losses
+from engine.diagnose.free_run_fits.folds import folds_of, losses, p_better
 from engine.diagnose.judging.findings import AS_GOOD, AS_LIKELY
 from engine.presentation.cause_sentences import standing
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
@@ -42,6 +42,17 @@ def test_an_effect_whose_size_may_as_well_be_zero_does_not_survive(fit):
     assert abs(beside.p[k]) < 2.0 * np.sqrt(beside.covariance[k, k])
     nothing = Candidate(beside, beside.effects, own - 3.0, 0.2, 1e-6, 0.5)
     assert survivors(own, [nothing], setting) == ()
+
+
+@pytest.mark.parametrize(("gained", "chosen"), [(0.1, 1), (0.6, 2)])
+def test_a_second_effect_must_take_its_share_however_sure_it_is(fit, gained, chosen):
+    """Two effects gain 5 or 26 % more of the error than one of them, in each of the blocks."""
+    own = losses(fit, folds_of(fit.records))
+    one, setting = candidate(fit, "cubic:position->velocity", own)
+    two = replace(one, added=(*one.added, *one.added), losses=one.losses - gained, held_out=0.1)
+    assert p_better(two.losses, one.losses) == 0.0
+    ((first,),) = survivors(own, [two, one], setting)
+    assert len(first.added) == chosen
 
 
 @pytest.mark.long
