@@ -1,5 +1,7 @@
 """A noise that a search has left at nothing is found where it is large."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ NOISE = ("sigma_v", "sigma_load", "sigma_y")
 DT = 0.04  # s
 
 
+@cache
 def drive(seed, friction, offset):
     """A drive with friction, simulated, and the best free run of one without any."""
     rng = np.random.default_rng(seed)
@@ -27,6 +30,7 @@ def drive(seed, friction, offset):
     return series, fit.theta
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "friction", "offset"), [(4, 20.0, -3.3), (4, 10.0, -3.0)])
 def test_noise_of_a_wrong_model_is_not_left_at_nothing(seed, friction, offset):
     series, theta = drive(seed, friction, offset)
@@ -40,6 +44,7 @@ def test_noise_of_a_wrong_model_is_not_left_at_nothing(seed, friction, offset):
     assert found.log_likelihood == pytest.approx(high.log_likelihood, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_start_of_an_estimation_has_it_too():
     series, theta = drive(4, 10.0, -3.0)
     high = quasi_ml(SERVO, series, {**theta.asdict(), "sigma_load": 200.0}, NOISE)

@@ -35,6 +35,7 @@ def found_in_turn(train, names):
     return FreeRunSearch(tuple(rounds), tuple(fits), tuple(fit.log_likelihood for fit in fits))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("last", "size", "stays"), [(OFFSET, None, True), (SQUARE, 0.1, False)])
 def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
     there = THERE if last == OFFSET else {"coulomb_speed": 0.4}
@@ -55,6 +56,7 @@ def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
         assert "m/s rms instead of" in notes[0]
 
 
+@pytest.mark.long
 def test_what_loses_on_other_data_leaves_its_place_to_another_of_its_set():
     train, test = (hidden([COULOMB], {"coulomb_speed": 0.4}, seed) for seed in (1, 2))
     base = fit_of(quasi_ml(DRIVE, train), [train])
@@ -77,6 +79,7 @@ def test_what_loses_on_other_data_leaves_its_place_to_another_of_its_set():
     assert COULOMB in notes[0]
 
 
+@pytest.mark.long
 def test_the_only_one_stays_to_be_judged_as_a_whole():
     train, test = (hidden(["coulomb:speed"], {"coulomb_speed": 0.4}, seed) for seed in (1, 2))
     found = found_in_turn(train, [SQUARE])
