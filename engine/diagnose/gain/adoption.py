@@ -113,11 +113,16 @@ def runs_worse(gain: Gain, others: Sequence[str], noises: Sequence[str]) -> str:
 def nothing_better(gain: Gain) -> bool:
     """Whether held-out data that could tell show nothing of an extension better, surely or not.
 
-    Neither its predictions, which lose more than a nat, nor any free run.
+    Neither its predictions nor any free run: where the predictions lose less than a nat, every free run must be
+    worse by more than a trifle.
     """
-    if gain.adopt or gain.samples < TELLING_ROWS or not gain.log_density < -LOSS_NATS:
+    if gain.adopt or gain.samples < TELLING_ROWS or not gain.log_density <= 0.0:
         return False
-    return all(o.difference >= 0.0 for o in gain.outputs)
+    if gain.log_density < -LOSS_NATS:
+        return all(o.difference >= 0.0 for o in gain.outputs)
+    return bool(gain.outputs) and all(
+        o.difference > RUN_SHARE * o.rmse_before for o in gain.outputs
+    )
 
 
 def _predicts_worse(p_loss: float, log_density: float) -> bool:

@@ -228,7 +228,7 @@ def cause_of(found: Round, final: QuasiFit | None = None) -> Cause:
 def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
     """Effects with a similar footprint, or refitted with a similar gain."""
     names = [s.effect.name for s in found.screen.scores]
-    place = names.index(best.effect.name)
+    place = names.index(best.effect.name) if best.effect.name in names else None
     refits = {r.effect.name: r for r in found.refits}
     against = [r.effect.name for r in found.contradicted]
     near = [r for r in found.refits if r.score >= best.score - MARGIN]
@@ -237,7 +237,7 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         other = score.effect
         if other.name == best.effect.name or score.statistic <= 0.0:
             continue
-        likeness = found.screen.likeness(place, i)
+        likeness = 0.0 if place is None else found.screen.likeness(place, i)
         refit = refits.get(other.name)
         if likeness < ALIKE and refit is None:
             continue

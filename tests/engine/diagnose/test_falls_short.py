@@ -55,6 +55,9 @@ def output(after: float, difference: tuple[float, float]) -> OutputGain:
         ({"outputs": (output(1.01, (-0.2, 0.3)),)}, True),
         ({"outputs": (output(0.99, (-0.3, 0.2)),)}, False),  # a run is better, though not surely
         ({"log_density": -0.9}, False),  # as good as no loss
+        ({"log_density": -0.9, "outputs": (output(1.2, (0.0, 0.4)),)}, True),
+        ({"log_density": -0.9, "outputs": (output(1.005, (-0.2, 0.3)),)}, False),  # nor is the run
+        ({"log_density": 0.1, "outputs": (output(1.2, (0.0, 0.4)),)}, False),
         ({"decision": Decision.ADOPTED}, False),
         ({"samples": 10}, False),  # too few to tell
         ({"log_density": np.nan}, False),

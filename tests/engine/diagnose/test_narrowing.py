@@ -76,6 +76,14 @@ def test_what_held_out_data_contradict_does_not_say_the_same_in_other_words():
     assert told_of(one, SCORES)["drift:reading"] == CONTRADICTED
 
 
+def test_a_refit_from_elsewhere_may_lead_though_the_screen_has_not_seen_it():
+    """Beside what was found before it an effect may not be tested; its likeness to others is not known."""
+    (one,) = searched(SCORES).rounds
+    lead = one.refits[0].effect.name
+    others = [name for name in SCORES if name != lead]
+    assert set(told_of(one, others)) == set(others)
+
+
 def test_a_wider_kind_does_not_say_the_same_in_other_words():
     """Stribeck's friction has Coulomb's at the end of its range, and more parameters: not the same thing."""
     scores = {"coulomb:speed": 10.0, "stribeck:speed": 10.5}
