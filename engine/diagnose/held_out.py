@@ -16,6 +16,7 @@ from engine.diagnose.effects.traits import Course
 from engine.diagnose.first_states import anywhere, starts_there
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.oversampled import thinned_by
+from engine.diagnose.free_run.search import Candidate
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
 from engine.diagnose.gain.adoption import (
@@ -201,7 +202,7 @@ class HeldOut:
         notes: tuple[str, ...] = ()
         while not found.is_patchwork and (lost := self._lost(found)) is not None:
             chosen, *others = found.rounds[len(found.found) - 1].survivors
-            left = [group for group in others if self._lost(found.left_with([group])) is None]
+            left = [group for group in others if self._stands(found, group)]
             if left:
                 found = found.left_with(left)
                 notes = (*notes, in_its_place(chosen[0].names, found.found[-1].names, lost))
@@ -212,6 +213,13 @@ class HeldOut:
             named = [name for one in found.found for name in one.names]
             notes = (*notes, not_beside(last.names, named, lost))
         return found, notes
+
+    def _stands(self, found: FreeRunSearch, group: tuple[Candidate, ...]) -> bool:
+        """Whether another survivor of the last round can be had, and does not lose on held-out data."""
+        try:
+            return self._lost(found.left_with([group])) is None
+        except (EngineError, np.linalg.LinAlgError):
+            return False
 
     def _lost(self, found: FreeRunSearch) -> Gain | None:
         """What the last addition of a free run's search loses on held-out data, None where it does not."""

@@ -17,11 +17,11 @@ from engine.data.series import Series
 from engine.errors import EngineError
 from engine.estimation.e_steps import ParticleStep
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml
+from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml, with_scales
 from engine.estimation.wandering import clearly_likelier
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import BaseModel, Theta
-from engine.statespace.model import Array
+from engine.statespace.model import Array, MixedModel
 
 NOTHING = 2.0  # nats: what is worth less cannot be told from nothing, and stays there
 SIZES = 10.0 ** np.arange(-2.0, 4.1, 0.5)  # of the typical one, at which it is looked for
@@ -54,23 +54,32 @@ def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOU
 
 def _more_of_it(fit: QuasiFit, all_series: Sequence[Series]) -> Array | None:
     """The likeliest theta (n_theta,) with more of one that has vanished; None where none is likelier."""
-    model, theta = fit.model, np.asarray(fit.theta)
-    indices = model.free_indices(fit.free)
+    theta, indices = np.asarray(fit.theta), fit.model.free_indices(fit.free)
+    model = with_scales(fit.model, all_series, theta, indices)
     sizes = indices[model.lower[indices] >= 0.0]
-    least = np.concatenate([theta[None], _each(theta, sizes, model.lower[sizes, None])])
-    value, *without = log_likelihoods(model, all_series, least)
-    gone = sizes[np.abs(np.array(without) - value) <= NOTHING]
-    if not len(gone):
-        return None
+    value = fit.log_likelihood
+    without = _likely(model, all_series, _each(theta, sizes, model.lower[sizes, None]))
+    gone = sizes[np.abs(without - value) <= NOTHING]
     scales = np.array([parameter_scale(model, theta, int(k)) for k in gone])
-    more = _each(
-        theta,
-        gone,
-        np.clip(scales[:, None] * SIZES, model.lower[gone, None], model.upper[gone, None]),
-    )
-    values = log_likelihoods(model, all_series, more)
-    best = int(np.nanargmax(np.where(np.isfinite(values), values, -np.inf)))
-    return more[best] if values[best] > value else None
+    low, high = model.lower[gone, None], model.upper[gone, None]
+    more = _each(theta, gone, np.clip(scales[:, None] * SIZES, low, high))
+    values = _likely(model, all_series, more)
+    if not values.max(initial=-np.inf) > value:
+        return None
+    return np.asarray(more[int(np.argmax(values))])
+
+
+def _likely(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
+    """Log-likelihoods of thetas (K, n_theta), -inf without one: so far out a user's function may fail."""
+    if not len(thetas):
+        return np.zeros(0)
+    try:
+        values = log_likelihoods(model, all_series, thetas)
+    except FAILURES:
+        if len(thetas) == 1:
+            return np.array([-np.inf])
+        return np.concatenate([_likely(model, all_series, one[None]) for one in thetas])
+    return np.where(np.isfinite(values), values, -np.inf)
 
 
 def revived_by_particles(

@@ -1,5 +1,7 @@
 """A noise that a search has left at nothing is found where it is large."""
 
+import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -131,3 +133,35 @@ def test_an_estimation_does_not_end_where_the_moment_filter_took_noise_away():
     found = engine.rbps_em(GAIN, series, STUCK, n_particles=50, seed=1, warm_start=False)
     assert found.outcome is engine.Outcome.CONVERGED
     assert found.theta["r"] > 0.1
+
+
+def by_logarithm(a, u, t, dt, theta):
+    """A walk whose author knows that it walks, and by no more than a few metres."""
+    if theta.q > 10.0:
+        raise ValueError("too far")
+    return [0.0], [[1.0]], [[math.exp(2.0 * math.log(theta.q))]]
+
+
+def test_a_model_that_cannot_be_had_without_noise_or_with_much_of_it_is_left_alone():
+    """A user's function may fail at a bound, and far beyond what its author thought of."""
+    model = engine.MixedModel(
+        name="walk",
+        dynamics=by_logarithm,
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r**2]]),
+        initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [0.0], [[1.0]]),
+        linear={"place": "m"},
+        outputs={"y": "m"},
+        parameters=[
+            engine.Parameter("q", 0.1, "m", (0.0, 100.0)),
+            engine.Parameter("r", 1.0, "m", (0.0, 100.0)),
+        ],
+    )
+    rng = np.random.default_rng(0)
+    way, read = np.cumsum(rng.standard_normal(200)), rng.standard_normal(200)
+    still = engine.Series(0.02 * way + read, dt=1.0)
+    fit = replace(quasi_ml(model, still, {"q": 0.02}, ["r"]), free=("q", "r"))
+    assert revived(fit, [still]) is fit
+    walking = engine.Series(way + read, dt=1.0)
+    search = WarmStart(model, [walking], model.free_indices(None))
+    search(model.theta({"q": 0.5}))
+    assert not search.note

@@ -1,6 +1,7 @@
 """What a free run adds last stays only where it does no worse on data that nothing was fitted to."""
 
 from dataclasses import replace
+from importlib import import_module
 from types import SimpleNamespace as Some
 
 import numpy as np
@@ -15,6 +16,7 @@ from engine.diagnose.free_run_fits.fitted import Pick, with_effects
 from engine.diagnose.held_out import HeldOut
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.records import Records
+from engine.errors import ModelError
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden
 
@@ -54,6 +56,17 @@ def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
         assert COULOMB in notes[0]
         assert last in notes[0]
         assert "m/s rms instead of" in notes[0]
+
+
+def test_a_survivor_whose_noise_cannot_be_fitted_stands_for_nothing(monkeypatch):
+    def cannot(fit):
+        raise ModelError("the likelihood is not finite")
+
+    monkeypatch.setattr(import_module("engine.diagnose.free_run.answer"), "noise_fit", cannot)
+    groups = tuple((Candidate(None, (), np.zeros(1), 1.0, 0.01, 0.5),) for _ in range(2))
+    one = FreeRound(None, np.zeros(1), None, (), (), groups, 0.05)
+    found = FreeRunSearch((one,), (None, None), (0.0, 1.0))
+    assert not HeldOut(None, None, 0)._stands(found, groups[1])
 
 
 @pytest.mark.long
