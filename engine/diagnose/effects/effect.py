@@ -26,6 +26,12 @@ from engine.statespace.split import Split as Split
 
 NEARBY = 1e-6  # of a state's way over the step, on either side: there the slope of a term is taken
 ROUNDED = 1e-9  # of a state's value: no nearer than that, wherever it counts from
+SHORT, LEAST, AT_REST = (
+    1e-3,
+    1e-6,
+    1e-7,
+)  # of its way, its value, its size: so near that of a step is
+STEEP = 2.0  # times a push, which no step that is short makes of it: there it jumps, as at rest with friction
 MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
 
 
@@ -267,6 +273,39 @@ def pushed(
     return f, A, Q
 
 
+def carried(
+    model: MixedModel,
+    row: int,
+    step: LinearGaussian,
+    a: Array,
+    u: Any,
+    t: Any,
+    dt: Any,
+    record: Any,
+) -> Array | None:
+    """What a ``step`` of a continuous model makes of one unit put on a state before it, (M, nx) or (nx,).
+
+    So linear states can push a nonlinear one within the step: their push is small, and its slope is enough.
+    Where that jumps the push is left as it is. None for other models.
+    """
+    f, A, _ = step
+    if not model.continuous:
+        return None
+    if row >= model.na:
+        return A[..., row - model.na].copy()
+    moves = SHORT * np.abs(f[:, row] - a[:, row]) + LEAST * np.abs(a[:, row])
+    near = moves + AT_REST * model.start_sizes[row] + 1e-300
+    ends = []
+    for way in (near, -near):
+        moved = a.copy()
+        moved[:, row] += way
+        ends.append((model.transition(moved, u, t, dt, record)[0], moved[:, row]))
+    (ahead, above), (behind, below) = ends
+    slope = (ahead - behind) / np.reshape(above - below, (-1, 1))
+    jumps = np.reshape(np.abs(slope[:, row]) > STEEP, (-1, 1))
+    return np.where(jumps, np.eye(model.nx)[row], slope)
+
+
 def add_linear_coupling(
     model: MixedModel,
     target: str,
@@ -276,7 +315,7 @@ def add_linear_coupling(
     """``target``' = ... + dt * size * (source - zero), for a linear state ``source``.
 
     The source at the step's start. Of a continuous model half of it comes before the step and half after it
-    (Strang 1968); all after it where the target is a nonlinear state.
+    (Strang 1968).
     """
     split = Split(model)
     row = [*model.nonlinear, *model.linear].index(target)
@@ -284,20 +323,21 @@ def add_linear_coupling(
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
-        f, A, Q = model.transition(a, u, t, dt, own_base)
+        step = model.transition(a, u, t, dt, own_base)
+        on = carried(model, row, step, a, u, t, dt, own_base)
+        f, A, Q = step
         A, f, size = per_point(A, len(a), dt, own[0]), f.copy(), dt * own[0]
-        if not model.continuous:
+        if on is None:
             f[:, row] -= size * zero(own)
             A[..., row, column] += size
             return f, A, Q
-        size *= 1.0 if row < model.na else 0.5
+        size *= 0.5
         if target == source:
             size = np.expm1(np.minimum(size, MOST_GROWTH))
         each = np.reshape(size, (-1, 1) if np.ndim(size) else ())
-        if row >= model.na:
-            pushed_on = A[..., row - model.na].copy()
-            A[..., column] += each * pushed_on
-            f -= np.reshape(size * zero(own), (-1, 1)) * pushed_on
+        A = per_point(A, len(a), on[..., 0])
+        A[..., column] += each * on
+        f -= np.reshape(size * zero(own), (-1, 1)) * on
         f[:, row] += size * (f[:, model.na + column] - zero(own))
         A[..., row, :] += each * A[..., model.na + column, :]
         return f, A, Q

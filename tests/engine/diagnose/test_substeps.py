@@ -7,6 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend, make_effect
+from engine.diagnose.effects.effect import carried
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.rates import guessed_points
@@ -276,13 +277,17 @@ def test_a_model_that_counts_samples_takes_series_of_its_own_steps_only():
         ("cubic:{}", (-0.4,)),
         ("hysteresis:{}", (-8.0, 0.4)),
         ("boucwen:{}", (-8.0, 0.4, -0.5)),
+        ("pole:{}", (2.0, 1.0)),
+        ("mode:{}", (4.0, 0.2, 0.3)),
+        ("path:{}->{}", (-4.0, 0.5)),
     ],
-    ids=["drag", "cubic", "hysteresis", "boucwen"],
+    ids=["drag", "cubic", "hysteresis", "boucwen", "pole", "mode", "path"],
 )
 def test_the_error_of_an_effect_falls_with_the_square_of_the_step(name, own, linear):
     """In all states at the samples, as Strang's splitting does it, whatever the rest of the model is."""
     model = engine.get_model("oscillator") if linear else pendulum(continuous=True)
-    name = name.format("velocity" if linear else "rate")
+    state = "velocity" if linear else "rate"
+    name = name.format(*model.inputs, state) if "->" in name else name.format(state)
     n, theta = 100, np.asarray(model.theta())
     model_states = [*model.nonlinear, *model.linear]
     series = engine.Series(np.zeros(n), 2.0 * np.sin(0.13 * np.arange(n)), dt=0.1)
@@ -334,6 +339,29 @@ def test_rows_are_kept_apart_where_some_are_moved_by_linear_states(kind):
         for one, every, dims in zip(alone, together, (1, 2, 2), strict=True):
             own = every[m] if every.ndim > dims else every
             np.testing.assert_allclose(one[0] if one.ndim > dims else one, own, rtol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e-9, -1e-9, 0.3])
+def test_dry_friction_near_rest_does_not_throw_what_a_linear_state_pushes(speed):
+    """Its sign jumps there: a difference across that, over a small way, was hundreds of times the push."""
+
+    def dynamics(a, u, t, dt, th):
+        return [a[:, 0] - dt * 0.5 * np.sign(a[:, 0]) + dt * u[0]], np.zeros((1, 0)), [[dt * 1e-4]]
+
+    model = engine.MixedModel(
+        name="rubbing",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[1e-4]]),
+        initial=lambda th: (engine.Gaussian([0.0], [[1e-4]]), [], np.zeros((0, 0))),
+        nonlinear={"v": "m/s"},
+        inputs={"u": "m/s^2"},
+        outputs={"y": "m/s"},
+        parameters=[],
+        continuous=True,
+    )
+    at = np.array([[speed]]), np.array([0.4]), 0.0, 0.1, model.record([])
+    on = carried(model, 0, model.transition(*at), *at)
+    np.testing.assert_allclose(on, [[1.0]], rtol=1e-6)
 
 
 def slipping(n=200, dt=0.05):

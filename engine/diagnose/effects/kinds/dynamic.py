@@ -14,7 +14,7 @@ from engine.diagnose.effects.augmentation import (
     spread_at_first,
 )
 from engine.diagnose.effects.channels import Kind, at_pairs, each_moved, each_state
-from engine.diagnose.effects.effect import Effect, Split
+from engine.diagnose.effects.effect import MOST_GROWTH, Effect, Split, carried
 from engine.diagnose.effects.setting import FREQUENCIES, SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
@@ -27,7 +27,6 @@ class _Following:
         self.k, self.na, self.nx, self.nz = k, model.na, model.nx, model.nz
         states = [*model.nonlinear, *model.linear]
         self.row, self.column, self.source = states.index(target), states.index(source), source
-        self.continuous = model.continuous
 
     @property
     def begin(self) -> Begin:
@@ -44,12 +43,20 @@ class _Following:
         return begin
 
     def __call__(
-        self, step: LinearGaussian, a: Array, force: Any, drives: Sequence[Any]
+        self,
+        step: LinearGaussian,
+        a: Array,
+        force: Any,
+        drives: Sequence[Any],
+        on: Array | None,
     ) -> LinearGaussian:
-        """The step with ``force`` (l - x) on the target and ``drives`` x on each of the new states."""
+        """The step with ``force`` (l - x) on the target and ``drives`` x on each of the new states.
+
+        ``on`` ((M,) nx) is what the step makes of one unit of the target, None where nothing acts within it.
+        """
         f, A, Q = step
-        if self.continuous:
-            return *self._around(f, A, a, force, drives), Q
+        if on is not None:
+            return *self._around(f, A, a, force, drives, on), Q
         A[:, self.row, self.nz] += force
         rows = [(self.row, -force), *((self.nx + i, drive) for i, drive in enumerate(drives))]
         for row, factor in rows:
@@ -60,39 +67,29 @@ class _Following:
         return f, A, Q
 
     def _around(
-        self, f: Array, A: Array, a: Array, force: Any, drives: Sequence[Any]
+        self, f: Array, A: Array, a: Array, force: Any, drives: Sequence[Any], on: Array
     ) -> tuple[Array, Array]:
-        """Half the force before the step of the model, half after it; the new states follow the mean of x.
-
-        All of it comes after the step, around what the new states do, where the target is nonlinear.
-        """
+        """Half the force before the step of the model, half after it; the new states follow the mean of x."""
         own, lag = slice(self.nx, self.nx + self.k), 1 + self.nz
         whole = np.concatenate([f[..., None], A], axis=2)  # of 1, z and the new states
         block = whole[:, own, lag:].copy()
         whole[:, own] = 0.0
         whole[:, own, lag:] = np.eye(self.k)
+        if self.row == self.column:  # x itself fades to l by its own push
+            force = -2.0 * np.expm1(np.minimum(-0.5 * force, MOST_GROWTH))
         half = np.reshape(0.5 * force, (-1, 1))
-
-        def push() -> None:
-            whole[:, self.row] += half * (whole[:, self.nx] - whole[:, self.column])
-
-        if self.row < self.na:
-            push()
-            x = whole[:, self.column].copy()
+        x = np.zeros_like(whole[:, 0])
+        if self.column < self.na:
+            x[:, 0] = a[:, self.column]
         else:
-            x = np.zeros_like(whole[:, 0])
-            if self.column < self.na:
-                x[:, 0] = a[:, self.column]
-            else:
-                x[:, 1 + self.column - self.na] = 1.0
-            before = -half * x
-            before[:, lag] += half[:, 0]
-            on = whole[:, : self.nx, 1 + self.row - self.na].copy()
-            whole[:, : self.nx] += on[..., None] * before[:, None]
-            x = 0.5 * (x + whole[:, self.column] + (before if self.row == self.column else 0.0))
+            x[:, 1 + self.column - self.na] = 1.0
+        before = -half * x
+        before[:, lag] += half[:, 0]
+        whole[:, : self.nx] += on[..., None] * before[:, None]
+        x = 0.5 * (x + whole[:, self.column] + (before if self.row == self.column else 0.0))
         driven = np.stack(np.broadcast_arrays(*drives), axis=-1)
         whole[:, own] = block @ whole[:, own] + np.reshape(driven, (-1, self.k, 1)) * x[:, None]
-        push()
+        whole[:, self.row] += half * (whole[:, self.nx] - whole[:, self.column])
         return whole[..., 0], whole[..., 1:]
 
 
@@ -108,8 +105,10 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
             own_base, own = split(theta)
             M = len(a)
             keep = np.broadcast_to(np.exp(-dt / own[1]), (M,))
-            step = beside(model.transition(a, u, t, dt, own_base), M, [[keep]], 0.0)
-            return follow(step, a, dt * own[0], [1.0 - keep])
+            step = model.transition(a, u, t, dt, own_base)
+            on = carried(model, follow.row, step, a, u, t, dt, own_base)
+            step = beside(step, M, [[keep]], 0.0)
+            return follow(step, a, dt * own[0], [1.0 - keep], on)
 
         states = {f"lag_{source}": setting.unit(source)}
         return add_linear_states(model, split, states, dynamics, follow.begin)
@@ -153,8 +152,10 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
             angle, fades = damped * omega * dt, np.exp(-zeta * omega * dt)
             c, s = fades * np.cos(angle), fades * np.sin(angle) / damped
             block = [[np.broadcast_to(c + zeta * s, (M,)), s], [-s, c - zeta * s]]
-            step = beside(model.transition(a, u, t, dt, own_base), M, block, 0.0)
-            return follow(step, a, dt * own[0], [1.0 - block[0][0], s])
+            step = model.transition(a, u, t, dt, own_base)
+            on = carried(model, follow.row, step, a, u, t, dt, own_base)
+            step = beside(step, M, block, 0.0)
+            return follow(step, a, dt * own[0], [1.0 - block[0][0], s], on)
 
         own_states = {f"mode_{source}": unit, f"mode_rate_{source}": unit}
         return add_linear_states(model, split, own_states, dynamics, follow.begin)

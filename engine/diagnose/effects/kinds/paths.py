@@ -12,6 +12,7 @@ from engine.diagnose.effects.effect import (
     Effect,
     Split,
     add_to_output,
+    carried,
     per_point,
 )
 from engine.diagnose.effects.origin import Origin
@@ -132,16 +133,17 @@ def _with_path(
         record, own = split(theta)
         M, gone = len(a), -np.expm1(-dt / own[1])
         keep = np.broadcast_to(1.0 - gone, (M,))
-        f, A, Q = beside(model.transition(a, u, t, dt, record), M, [[keep]], 0.0)
+        step = model.transition(a, u, t, dt, record)
+        f, A, Q = beside(step, M, [[keep]], 0.0)
         f[:, nx] = gone * u[index]
         if row is not None:
             push, mean = dt * own[0], gone * own[1] / dt  # of l over the step, as a share of l
             by_lag, rest = push * mean, push * ((1.0 - mean) * u[index] - origin.of(own))
-            if model.continuous and row >= model.na:  # half before the step, half after it (Strang)
+            on = carried(model, row, step, a, u, t, dt, record)
+            if on is not None:  # half before the step, half after it (Strang)
                 by_lag, rest = 0.5 * by_lag, 0.5 * rest
-                moved = A[..., row - model.na].copy()
-                A[..., nz] += np.reshape(by_lag, (-1, 1)) * moved
-                f += np.reshape(rest, (-1, 1)) * moved
+                A[:, :nx, nz] += np.reshape(by_lag, (-1, 1)) * on
+                f[:, :nx] += np.reshape(rest, (-1, 1)) * on
             A[:, row, nz] += by_lag
             f[:, row] += rest
         return f, A, Q
