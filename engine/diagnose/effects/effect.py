@@ -26,11 +26,8 @@ from engine.statespace.split import Split as Split
 
 NEARBY = 1e-6  # of a state's way over the step, on either side: there the slope of a term is taken
 ROUNDED = 1e-9  # of a state's value: no nearer than that, wherever it counts from
-SHORT, LEAST, AT_REST = (
-    1e-3,
-    1e-6,
-    1e-7,
-)  # of its way, its value, its size: so near that of a step is
+# Of a state's way, value and size: so near the slope of a step is taken, and so far that rounding is little.
+SHORT, LEAST, AT_REST = 0.1, 1e-6, 1e-4
 STEEP = 2.0  # times a push, which no step that is short makes of it: there it jumps, as at rest with friction
 MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
 
