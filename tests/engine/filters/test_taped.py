@@ -289,7 +289,7 @@ def test_a_way_that_is_new_is_looked_at_from_its_beginning(monkeypatch):
     model, asked = level(by_parameter), []
     series = series_for(model, 1)
 
-    def agrees(self, t, a=None):
+    def agrees(self, t, a=None, share=None):
         asked.append(t)
         return True
 

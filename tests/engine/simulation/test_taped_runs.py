@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import engine
 import engine.simulation.simulate
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.of_series import setting_for
@@ -79,3 +80,37 @@ def test_another_way_through_the_function_is_called(monkeypatch):
     for _ in range(len(series) - 1):
         expected.append((0.9 if expected[-1] > 0.5 else 0.18) * expected[-1])
     np.testing.assert_allclose(run[:, 0], expected, rtol=1e-12)
+
+
+def test_a_record_that_starts_at_rest_stays_on_tape(monkeypatch):
+    """Differences beside a state at nothing are rounding in a call, and the tape knows the slopes exactly."""
+
+    def drift(a, u, t, th):
+        central, outer = a[:, 0], a[:, 1]
+        between = th.exchange * (central - outer)
+        return [(u[0] - th.clearance * central - between) / 8.0, between / 25.0], np.zeros((2, 0))
+
+    model = engine.continuous(
+        name="patient",
+        drift=drift,
+        diffusion=lambda a, u, t, th: np.diag([1e-4, 1e-4]),
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[0.01]]),
+        initial=lambda th: (
+            engine.Gaussian([0.0, 0.0], np.diag([1e-6, 1e-6])),
+            [],
+            np.zeros((0, 0)),
+        ),
+        nonlinear={"central": "mg/L", "outer": "mg/L"},
+        inputs={"infusion": "mg/h"},
+        outputs={"plasma": "mg/L"},
+        parameters=[
+            engine.Parameter("clearance", 4.0, "L/h", (0.1, 50.0)),
+            engine.Parameter("exchange", 6.0, "L/h", (0.1, 50.0)),
+        ],
+    )
+    infusion = np.repeat([20.0, 0.0, 80.0, 50.0], 25)
+    series = engine.Series(np.zeros(100), infusion, dt=0.25, time_unit="h")
+    record, x1 = model.record(model.theta()), np.zeros((1, 2))
+    for _ in range(4):
+        taped = run_by_tape(model, record, series, x1, series.steps)
+        assert_same_runs(taped, by_calls(model, record, series, x1, monkeypatch))
