@@ -372,13 +372,15 @@ class ModelFunction:
     def look_again(self, u: Array | None = None) -> None:
         """Look at the next call of each kind, briefly unless a thorough look is due; not at particles.
 
+        At all that was recorded, and at a sample of others; see :meth:`Verdict.look_again`.
+
         ``u`` (T, nu) are the inputs of the record from which the calls will be.
         """
         if u is not None and self._affine is not None and not self._trusted:
             self._affine.expect(u)
         for kind, verdict in self._verdicts.items():
             if verdict.takes and kind is not None:
-                verdict.next = verdict.calls + 1
+                verdict.look_again(recorded=verdict.trial is not self._trial)
 
     def _kind_of(self, rows: Rows) -> Kind | None:
         try:
