@@ -22,6 +22,7 @@ from engine.diagnose.screening.rounding import below_rounding
 from engine.diagnose.screening.screen import Test
 from engine.distributions import kurtosis_z, normal_sf
 from engine.estimation.expectation import parameter_scale
+from engine.estimation.jumps import sides, slopes
 from engine.estimation.quasi_ml import DIFFERENCE, QuasiFit, neighbours
 from engine.filters.rbpf import Filtered, rbpf
 from engine.filters.sigma_point import MomentPath, moment_filter, moment_path
@@ -152,12 +153,13 @@ def fit_tails(
 
     lost = below_rounding(fit.model, theta, series, _first_state(fit, series))
 
-    def value(thetas: Array, own: Array) -> Array:
+    def value(thetas: Array, own: Array) -> tuple[Array, Array]:
         each = np.broadcast_to(thetas, (len(own), len(theta)))
-        likely = moment_filter(extended, np.hstack([each, own]), series).log_likelihood
-        return likely if lost is None else likely - lost(each)
+        terms = moment_filter(extended, np.hstack([each, own]), series).log_terms
+        return terms, np.zeros(len(own)) if lost is None else lost(each)
 
-    total = value(theta, pairs)
+    terms, less = value(theta, pairs)
+    total = terms.sum(axis=0) - less
     best = int(np.argmax(total))
     if 2.0 * (total[best] - fit.log_likelihood) >= enough:
         return 2.0 * (total[best] - fit.log_likelihood), np.concatenate([theta, pairs[best]])
@@ -172,14 +174,14 @@ def tails_information(fit: QuasiFit, effect: Effect, series: Series, extended: A
     """
     theta, own = np.split(extended, [len(fit.theta)])
     indices = fit.model.free_indices(fit.free)
-    thetas, distances = neighbours(fit.model, theta, indices)
+    thetas, _ = neighbours(fit.model, theta, indices)
     steps = DIFFERENCE * own
     beside = own + np.repeat(np.diag(steps), 2, axis=0) * [[-1.0], [1.0], [-1.0], [1.0]]
-    every = np.concatenate([thetas[1:], np.repeat(theta[None], 4, axis=0)])
-    pairs = np.concatenate([np.repeat(own[None], 2 * len(indices), axis=0), beside])
+    every = np.concatenate([thetas, np.repeat(theta[None], 4, axis=0)])
+    pairs = np.concatenate([np.repeat(own[None], len(thetas), axis=0), beside])
     terms = moment_filter(effect.apply(fit.model), np.hstack([every, pairs]), series).log_terms
-    slopes = (terms[:, 1::2] - terms[:, 0::2]) / np.concatenate([distances, 2.0 * steps])
-    known = np.nan_to_num(slopes)
+    apart = zip(sides(thetas, indices), (steps, steps, 2.0 * steps), strict=True)
+    known = np.nan_to_num(slopes(terms, *map(np.concatenate, apart)))
     return np.asarray(known.T @ known)
 
 
@@ -210,7 +212,7 @@ def _first_state(fit: QuasiFit, series: Series) -> Array:
 
 def _uphill(
     fit: QuasiFit,
-    value: Callable[[Array, Array], Array],
+    value: Callable[[Array, Array], tuple[Array, Array]],
     best: float,
     own: Array,
     tolerance: float,
@@ -224,6 +226,10 @@ def _uphill(
         known > 0.0, np.minimum(size, 1.0 / np.sqrt(np.maximum(known, LEAST_KNOWN))), size
     )
     ends = np.log([(SHARE_LEAST, SHARE_MOST), (LEAST_RATIO, MOST_RATIO)])
+    least, most = (
+        np.concatenate([(bound[indices] - theta[indices]) / size, of_own])
+        for bound, of_own in zip((model.lower, model.upper), ends.T, strict=True)
+    )
 
     def points(x: Array) -> tuple[Array, Array]:
         thetas = np.tile(theta, (len(x), 1))
@@ -233,21 +239,25 @@ def _uphill(
         return thetas, np.exp(x[:, -2:])
 
     def slope(x: Array) -> tuple[float, Array]:
-        step = np.full(len(x), DIFFERENCE)  # to one side, inwards at a bound: that is exact enough
-        step[:-2][theta[indices] + size * (x[:-2] + DIFFERENCE) > model.upper[indices]] *= -1.0
-        values = value(*points(np.concatenate([x[None], x + np.diag(step)])))
-        if not np.isfinite(values).all():
+        low, high = np.maximum(x - DIFFERENCE, least), np.minimum(x + DIFFERENCE, most)
+        every = np.tile(x, (1 + 2 * len(x), 1))
+        k = np.arange(len(x))
+        every[1 + 2 * k, k], every[2 + 2 * k, k] = low, high
+        terms, less = value(*points(every))
+        total = terms.sum(axis=0) - less
+        if not np.isfinite(total).all():
             return LOST, np.zeros(len(x))
-        return -float(values[0]), -(values[1:] - values[0]) / step
+        # where a row jumps, as at a date, the slope is that of its other side
+        slope_of_terms = slopes(terms, x - low, high - x, high - low).sum(axis=0)
+        return -float(total[0]), (less[2::2] - less[1::2]) / (high - low) - slope_of_terms
 
     start = np.concatenate([np.zeros(len(indices)), np.log(own)])
-    bounds = [(None, None)] * len(indices) + list(map(tuple, ends))
     end = minimize(
         slope,
         start,
         jac=True,
         method="L-BFGS-B",
-        bounds=bounds,
+        bounds=list(zip(least, most, strict=True)),
         options={"maxiter": STEPS, "ftol": tolerance / max(abs(best), 1.0)},
     )
     if not -float(end.fun) > best:

@@ -11,7 +11,12 @@ from engine import simulate
 from engine.diagnose import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening import screening
-from engine.diagnose.screening.tails import standardised_errors, tail_test
+from engine.diagnose.screening.tails import (
+    fit_tails,
+    standardised_errors,
+    tail_test,
+    tails_information,
+)
 from engine.diagnose.search.search import without_outliers
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.filters.sigma_point import moment_path
@@ -116,3 +121,22 @@ def test_two_outliers_in_a_row_are_taken_out_and_the_good_reading_after_them_is_
     # a level that has moved for good is not taken for outliers
     moved = series.replace(y=np.where(np.arange(80)[:, None] >= 60, series.y + 9.0, series.y))
     assert np.isnan(without_outliers(fit, moved, "flow", 0).y[60:]).sum() <= 3
+
+
+@pytest.mark.long
+def test_a_date_on_a_row_does_not_keep_outliers_from_being_fitted(drive):
+    """To one side of it the likelihood jumps; what outliers gain is that beside a date between two rows."""
+    series = drive[0]
+    shifted = make_effect("step:reading", Setting(DRIVE)).apply(DRIVE)
+    heavy = make_effect("heavy-tails:reading", Setting(shifted))
+    gains = []
+    for date in (150.0, 149.6):
+        start = shifted.theta({"step_reading": 0.05, "step_reading_time": series.t[0] + date * DT})
+        fit = quasi_ml(shifted, series, start)
+        at = shifted.theta(fit.theta.asdict() | {"step_reading_time": start["step_reading_time"]})
+        gain, theta = fit_tails(replace(fit, theta=at), heavy, series)
+        information = tails_information(fit, heavy, series, theta)
+        gains.append(gain)
+        assert information[fit.free.index("step_reading_time"), :].max() == 0.0
+    assert gains[0] > 50.0
+    assert gains[0] == pytest.approx(gains[1], abs=0.01)
