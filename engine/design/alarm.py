@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from engine.design.spectrum import records_of
 from engine.diagnose.refits.calibration import BOLDEST, CLEARLY, FEWEST, LEVEL, SERIES, boldness
-from engine.diagnose.screening.screen import CLEARLY_HEAVIER
+from engine.diagnose.screening.screen import CLEARLY_HEAVIER, SAME, beyond
 from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 
 AGAIN = 4  # drawings of a calibration, from its own simulated records and its neighbours'
 MOST_TESTS = 40  # of a calibration that is drawn
+FURTHER = 0.01  # of multiplier draws, with LEVEL of them, tell how their tail falls
 CLEAREST = 1e9  # statistic, above which all is clear
 LEAST_NOISE = 0.1  # of what is left of a record, beside an effect that is nearly all of it
 
@@ -51,10 +52,14 @@ class Alarm:
         few, many = self._boldness(simulated, rng)
         rank = np.argsort(np.argsort(statistic, kind="stable"))
         group = rank * len(few) // len(statistic)
-        heavier = _heavier(statistic, v, shared, rng)
-        known = heavier > CLEARLY_HEAVIER  # the screen then scales by it, and calibrates the rest
-        scale = chi2_isf(LEVEL / np.where(known, heavier, 1.0), 1) / chi2_isf(LEVEL, 1)
-        single = np.maximum(chi2_sf(statistic / scale, 1), 1e-300)
+        edge, further, least = _edges(statistic, v, shared, rng)
+        heavier = LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300)
+        known = (
+            heavier > CLEARLY_HEAVIER
+        )  # the screen then goes by the draws, and calibrates the rest
+        excess = np.maximum(further - edge, SAME * edge) / np.log(LEVEL / FURTHER)
+        heavy = np.maximum(beyond(statistic, edge, np.where(known, excess, 1.0)), least)
+        single = np.maximum(np.where(known, heavy, chi2_sf(statistic, 1)), 1e-300)
         tests = self.tests * np.where(known, 1.0, heavier)
         clear = tests * single ** (1.0 / BOLDEST) <= LEVEL
         first, last = (tests * single ** (1.0 / b[group]) for b in (few, many))
@@ -79,10 +84,12 @@ class Alarm:
         return tuple(np.array(out).T)
 
 
-def _heavier(statistic: Array, v: Array, shared: Array, rng: np.random.Generator) -> Array:
-    """How much heavier than chi2 the tail of multiplier draws is that keep the size of every reading's score.
+def _edges(
+    statistic: Array, v: Array, shared: Array, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """The points (K,) that LEVEL and FURTHER of multiplier draws exceed; the share in which readings agree.
 
-    Of scores w_t, whose sum squared is the statistic T,
+    The draws keep the size of each score. Of scores w_t, whose sum squared is the statistic T,
 
         w_t = u_t z_t,    z = (I - u u') e + sqrt(T) u,    u = sqrt(1 - q) v / |v| - sqrt(q) d,
 
@@ -93,7 +100,9 @@ def _heavier(statistic: Array, v: Array, shared: Array, rng: np.random.Generator
     """
     N, size = len(v), float(np.linalg.norm(v))
     if not size > 0.0:
-        return np.ones_like(statistic)
+        points = (chi2_isf(level, 1) for level in (LEVEL, FURTHER))
+        edge, further = (np.full_like(statistic, point) for point in points)
+        return edge, further, np.zeros_like(statistic)
     K = records_of(N)
     e, d = rng.standard_normal((2, K, N))
     d -= np.outer(d @ v, v / size**2)
@@ -109,7 +118,11 @@ def _heavier(statistic: Array, v: Array, shared: Array, rng: np.random.Generator
         squares = (u * (noise[k, None] * e[:n] + along[:, None] * u)) ** 2
         V[k] = squares.sum(axis=1)
         alike[k] = (squares**2).sum(axis=1) / np.maximum(V[k], 1e-300) ** 2  # 1 / those that count
-    normal = float(np.sqrt(chi2_isf(LEVEL, 1)))
     alike = np.clip(alike, 1e-9, 1.0)
-    edge = V * np.minimum((normal - alike * (normal**3 - 3.0 * normal) / 12.0) ** 2, 1.0 / alike)
-    return np.asarray(LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300))
+
+    def point(level: float) -> Array:
+        normal = float(np.sqrt(chi2_isf(level, 1)))
+        shorter = np.maximum(normal - alike * (normal**3 - 3.0 * normal) / 12.0, 0.0)
+        return np.asarray(V * np.minimum(shorter**2, 1.0 / alike))
+
+    return point(LEVEL), point(FURTHER), 2.0 ** (1.0 - 1.0 / alike)

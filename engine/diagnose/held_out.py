@@ -29,7 +29,12 @@ from engine.diagnose.gain.adoption import (
     runs_worse,
 )
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
-from engine.diagnose.gain.narrowing import narrowed, with_fair_noise, with_noise_of
+from engine.diagnose.gain.narrowing import (
+    last_alone,
+    narrowed,
+    with_fair_noise,
+    with_noise_of,
+)
 from engine.diagnose.judging.by_record import word_of_records
 from engine.diagnose.judging.contradictions import particle_word
 from engine.diagnose.judging.findings import Cause, Verdict
@@ -48,7 +53,7 @@ from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.pipeline import Causes
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
-from engine.words import number
+from engine.words import enumerated, number
 
 TESTS_NOT_USED = (
     "The test data were not used: what was found comes with time, and they do not follow the record. Its gain "
@@ -291,8 +296,22 @@ class HeldOut:
             others = [one.effect.name for one in search.named if one.effect.name not in noises]
             objection = runs_worse(gain, others, noises)
         if objection and gain is not None and not (gain.among or noises):
-            return self._asked_with_noise_of_all(search, gain, objection)
-        return gain, objection
+            gain, objection = self._asked_with_noise_of_all(search, gain, objection)
+        return gain, objection or self._objection_to_last(search)
+
+    def _objection_to_last(self, search: Search) -> str:
+        """What contradicts the last of several names, beside the others; their sum may hide what it loses.
+
+        Not beside outliers, which are left out of what is searched after them.
+        """
+        if len(search.named) < 2 or has_tails(search):
+            return ""
+        try:
+            objection = self._asked(last_alone(search, self.searched))[1]
+        except (EngineError, np.linalg.LinAlgError):
+            return ""
+        *others, last = (one.effect.name for one in search.named)
+        return objection and f"Of {last} beside {enumerated(others)}: {objection}"
 
     def _asked_with_noise_of_all(
         self, search: Search, gain: Gain, objection: str

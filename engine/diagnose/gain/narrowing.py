@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.gain.gain import Gain
+from engine.diagnose.gain.gain import Gain, without
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
@@ -107,6 +107,17 @@ def _without(
 def _name(found: Search) -> str:
     """The name in front."""
     return next(r for r in found.rounds if r.equivalent).refits[0].effect.name
+
+
+def last_alone(found: Search, series: Series) -> Search:
+    """Only what was named last, beside a model with all that was named before, which is fitted without it."""
+    last = max(k for k, r in enumerate(found.rounds) if r.equivalent)
+    effect, final = found.rounds[last].refits[0].effect, found.final
+    own = [parameter.name for parameter in effect.parameters]
+    theta = without(final, [effect]).theta
+    free = [name for name in final.free if name not in own]
+    base = quasi_ml(final.model, [series], theta, free)
+    return replace(found, base=base, rounds=found.rounds[last:])
 
 
 def with_fair_noise(found: Search, series: Series) -> Search:

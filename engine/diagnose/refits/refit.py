@@ -18,6 +18,7 @@ from engine.diagnose.refits.refitted import (
     free_parameters,
     weighed,
 )
+from engine.diagnose.refits.spikes import off_spikes
 from engine.diagnose.refits.starts import (
     also_at_rest,
     best_row,
@@ -99,8 +100,12 @@ def refit(
         best_start(extended, series, np.array(side), null, n, None, visited)[0]
         for side in by_side(effect, elsewhere)
     ]
-    known = weighed(effect, found, zero, series)
-    return best_form(known, zero, series, best_elsewhere, visited)
+
+    def of(one: QuasiFit) -> Refit:
+        known = weighed(effect, one, zero, series)
+        return best_form(known, zero, series, best_elsewhere, visited)
+
+    return off_spikes(fit, of(found), lambda at, left: of(climb(at, free=left)), series)
 
 
 def _with_usual_noise(fit: QuasiFit, found: QuasiFit, series: Series) -> list[Array]:

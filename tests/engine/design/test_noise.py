@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from engine.design.alarm import Alarm, _heavier
+from engine.design.alarm import Alarm, _edges
 from engine.design.candidates import before_any
 from engine.design.contest import Demand, contest, demand_of
 from engine.design.noise import NoiseRoom, noise_room
@@ -199,7 +199,7 @@ def test_an_alarm_needs_more_where_few_readings_show_the_effect():
     spread, single = (raised(statistic, v, _of_chi2()) for v in (np.ones(300), few))
     assert single.sum() < spread.sum()
     for v, shared in ((np.ones(300), 0.0), (few, 0.0), (few, 0.6)):
-        there, rng = [], np.random.default_rng(3)
+        there, apart, rng = [], [], np.random.default_rng(3)
         for _ in range(100):
             d = rng.standard_normal(300)
             d -= v * (v @ d) / (v @ v)
@@ -208,8 +208,12 @@ def test_an_alarm_needs_more_where_few_readings_show_the_effect():
             e = rng.standard_normal(300)
             s = u * (e + (np.sqrt(15.0) - u @ e) * u)
             signs = rng.choice([-1.0, 1.0], size=(499, 300))
-            there.append(0.05 / chi2_sf(float(np.quantile((signs @ s) ** 2, 0.95)), 1))
-        told = _heavier(np.full(100, 15.0), v, np.full(100, shared), rng)
+            points = np.quantile((signs @ s) ** 2, [0.95, 0.99])
+            there.append(0.05 / chi2_sf(float(points[0]), 1))
+            apart.append(points[1] - points[0])
+        edge, further, _ = _edges(np.full(100, 15.0), v, np.full(100, shared), rng)
+        told = 0.05 / chi2_sf(edge, 1)
+        assert np.median(further - edge) == pytest.approx(np.median(apart), rel=0.35, abs=0.5)
         middle = np.log(np.median(there))
         assert np.log(np.median(told)) == pytest.approx(middle, abs=0.1 + 0.25 * middle)
         heavy = float(np.mean(np.array(there) > CLEARLY_HEAVIER))

@@ -12,13 +12,16 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.adoption import Decision, falls_short, nothing_better, runs_worse
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.gain.narrowing import last_alone
 from engine.diagnose.gain.simulation_gain import OutputGain
 from engine.diagnose.held_out import HeldOut
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.records import Records
 from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
-from tests.engine.hidden_effects import DRIVE
+from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import DRIVE, hidden
 
 LOSS = Gain(
     how="held-out rows",
@@ -217,3 +220,29 @@ def test_what_is_shown_is_judged_also_where_the_free_run_decides_and_names_nothi
     judged = judge.judge(SimpleNamespace(search=found, verdict=Verdict.UNKNOWN), asked)
     assert judged.gain is LOSS
     assert (judged.verdict, judged.free_run.decides) == (Verdict.UNKNOWN, True)
+
+
+@pytest.mark.long
+def test_a_last_name_that_loses_beside_another_is_contradicted_though_both_together_gain():
+    """The sensor is off in both records, only the one that was searched has the drag."""
+    off = {"bias_reading": 1.0}
+    series = hidden(["bias:reading", "drag:speed"], off | {"drag_speed": 0.3}, 0, n=400)
+    other = hidden(["bias:reading"], off, 100, n=400)
+    bias, drag = (make_effect(name, Setting(DRIVE)) for name in ("bias:reading", "drag:speed"))
+    model = drag.apply(bias.apply(DRIVE))
+    final = quasi_ml(model, series, model.theta())
+    screen = SimpleNamespace(
+        p_value=0.002,
+        scores=tuple(SimpleNamespace(effect=e, statistic=40.0) for e in (bias, drag)),
+        likeness=lambda i, j: 0.0,
+        at_floor=False,
+    )
+    refits = [(Refit(effect, final, 40.0, 40.0),) for effect in (bias, drag)]
+    rounds = tuple(Round(screen, one, None, one) for one in refits)
+    search = Search(quasi_ml(DRIVE, series, DRIVE.theta()), final, rounds, False)
+    gain, said = HeldOut(Records(series, (), (other,)), series, 0)._asked(search)
+    assert gain.log_density > 0.0
+    assert said.startswith("Of drag:speed beside bias:reading: On data that it has not seen")
+    alone = last_alone(search, series)
+    assert alone.base.theta["drag_speed"] == 0.0
+    assert abs(alone.base.theta["bias_reading"] - 1.0) < 0.3

@@ -57,3 +57,16 @@ def test_of_what_is_surely_there_the_larger_comes_first():
     seen = scores.screen(tests, np.random.default_rng(3), 0.05)
     assert [score.effect.name for score in seen.scores] == ["bias:y2", "bias:y1"]
     assert seen.p_value < 0.01
+
+
+def test_what_grows_towards_the_end_is_seen_though_the_last_readings_show_it_most():
+    """As noise that grows: its draws are heavier than chi2, and all of them stay far below it."""
+    last = [0.13, 0.14, 0.17, 0.19, 0.26, 0.33, 0.87, 2.0]
+    s = np.sqrt(ROWS) * np.concatenate([np.full(ROWS - len(last), 1.8 / ROWS), last])
+    draws = np.random.default_rng(5).choice([-1.0, 1.0], (499, ROWS)) @ s
+    assert (draws**2).max() < 0.7 * s.sum() ** 2
+    grows = a_test("bias:y2", s)
+    seen = scores.screen([a_test("bias:y1", noise(2)), grows], np.random.default_rng(3), 0.05)
+    assert seen.scores[0].effect.name == "bias:y2"
+    assert seen.scores[0].p_value < 5e-4
+    assert seen.p_value == pytest.approx(1.0 / 500.0)
