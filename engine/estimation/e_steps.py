@@ -16,9 +16,11 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import OptionError
+from engine.errors import ModelError, OptionError
+from engine.estimation.edges import where_it_fails
 from engine.estimation.expectation import expectation
 from engine.estimation.linear import as_linear
 from engine.estimation.maximization import Objective
@@ -30,6 +32,7 @@ from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.linear_cost import rb_ffbsi_linear
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import rb_ffbsi
+from engine.statespace.base import Array, BaseModel
 from engine.statespace.model import MixedModel, Theta
 from engine.statespace.points import Points
 
@@ -43,7 +46,8 @@ class EStep:
     """The Q-function at theta_k with the log-likelihood and health of the filter behind it.
 
     ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left,
-    ``times`` how many times the particles asked for were needed.
+    ``times`` how many times the particles asked for were needed. ``failed`` says why there is none, see
+    :func:`or_none`.
     """
 
     q: Objective
@@ -51,9 +55,40 @@ class EStep:
     ess: float
     collapsed: float
     times: int = 1
+    failed: str = ""
 
 
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
+
+
+@dataclass(frozen=True, eq=False)
+class _Nowhere:
+    """The Q-function of an E step that cannot be made: it knows nothing, and forbids nothing."""
+
+    model: BaseModel
+
+    def value(self, theta: Array) -> float:
+        return -np.inf
+
+    def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
+        n = len(free)
+        return -np.inf, np.zeros(n), np.zeros((n, n))
+
+    def possible(self, theta: Array) -> bool:
+        return True
+
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        return np.zeros(len(free), dtype=bool)
+
+
+def or_none(model: BaseModel, expect: Expect, theta: Theta, rng: np.random.Generator) -> EStep:
+    """The E step, or one without a likelihood where a calculation of the model fails at theta."""
+    try:
+        return expect(theta, rng)
+    except ModelError as error:
+        if not error.numeric:
+            raise
+        return EStep(_Nowhere(model), -np.inf, 1.0, 0.0, failed=str(error))
 
 
 @dataclass(frozen=True)
@@ -81,11 +116,13 @@ class ParticleStep:
         """The same by filters that do not fall short of the moment filter, as far as more particles help."""
         return self._step(theta, rng, self.moment)
 
+    @where_it_fails(-np.inf)
     def log_likelihood(self, theta: Theta, times: int, rng: np.random.Generator) -> float:
-        """Of all series, by filters of ``times`` as many particles."""
+        """Of all series, by filters of ``times`` as many particles; -inf where the model cannot be had."""
         n = times * self.n_particles
         return float(sum(self.run(theta, s, n, rng).log_likelihood for s in self.all_series))
 
+    @where_it_fails(False)
     def follow(self, theta: Theta, rng: np.random.Generator) -> bool:
         """Whether filters do not fall short of the moment filter, if need be with more particles."""
         return all(self._filtered(theta, s, self.moment, rng)[2] for s in self.all_series)

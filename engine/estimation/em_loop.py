@@ -251,6 +251,8 @@ class _Log:
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
             outcome = Outcome.COLLAPSED
         message = outcome.value
+        if last is not None and last.seen.failed:
+            message += f" The model cannot be had at the last iterate: {last.seen.failed}."
         if lost >= TOLD_SHARE:
             message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows."
         stuck: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import ModelError
-from engine.estimation.e_steps import EStep, Expect, ParticleStep
+from engine.estimation.e_steps import EStep, Expect, ParticleStep, or_none
 from engine.estimation.followable import followable
 from engine.estimation.leaps import STRIDE, leap, surely
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
@@ -103,15 +103,17 @@ class Steps:
         seed = np.random.SeedSequence(self.seed, spawn_key=(k,))
         rng = np.random.default_rng(seed)
         compared = self.compared or self.expect
-        seen = (compared if least == np.inf else self.expect)(theta, rng)
-        if seen.log_likelihood < least < np.inf:
+        first = compared if least == np.inf else self.expect
+        # a model that cannot be had at the start is the caller's to put right
+        seen = first(theta, rng) if k == 1 else or_none(self.model, first, theta, rng)
+        if seen.log_likelihood < least < np.inf and not seen.failed:
             rng = np.random.default_rng(seed)  # the same numbers, should the moment filter agree
             seen = compared(theta, rng)
         at, origin = theta, seen
         if k == 1:
             by = FAR_NATS if self.ascent is None else 0.0
             for other in self._likeliest(self._starts(theta)):
-                there = compared(other, rng)
+                there = or_none(self.model, compared, other, rng)
                 gain = there.log_likelihood - origin.log_likelihood
                 if np.isfinite(there.log_likelihood) and not gain < by:  # nats
                     at, origin, by = other, there, 0.0

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.errors import ModelError
+from engine.estimation.edges import where_it_fails
 from engine.estimation.q_function import Evaluate, GaussianTerm, Neighbours
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import Smoothed
@@ -22,6 +24,10 @@ FEW_ROWS = 3  # time steps at which it is asked first whether a parameter is use
 STEP_SHARE = 1e-5  # of a parameter's size, for differences of the model's functions
 # Of the distance of its bounds: a parameter's size where nothing else is known.
 TYPICAL_SHARE = 0.05
+
+
+Ends: TypeAlias = list[tuple[Array, Array]]  # points below and above theta, for each free parameter
+Told = TypeVar("Told")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +51,9 @@ class QFunction:
         record = self.model.record(self.model.theta())
         return sum(term.value(record) for term in self.fixed)
 
+    @where_it_fails(-np.inf)
     def value(self, theta: Array) -> float:
-        """Q(theta, theta_k)."""
+        """Q(theta, theta_k); -inf where the model cannot be had."""
         record = self.model.record(theta)
         return self.constant + sum(
             term.value(record, rank) for term, rank in zip(self.terms, self.ranks, strict=True)
@@ -54,9 +61,13 @@ class QFunction:
 
     def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
         """Value, gradient (n,) and scoring matrix (n, n) in the n free parameters."""
-        model = self.model
-        record = model.record(theta)
-        neighbours = [self._neighbours(theta, k) for k in free]
+        told = partial(self._derivatives, theta, free)
+        return beside(self.model, self.value, theta, free, told)
+
+    def _derivatives(
+        self, theta: Array, free: NDArray[np.intp], ends: Ends
+    ) -> tuple[float, Array, Array]:
+        record, neighbours = self.model.record(theta), self._neighbours(free, ends)
         value, gradient = self.constant, np.zeros(len(free))
         H = np.zeros((len(free), len(free)))
         for term, depends in zip(self.terms, self.depends, strict=True):
@@ -70,6 +81,7 @@ class QFunction:
             H[np.ix_(which, which)] += h
         return value, gradient, H
 
+    @where_it_fails(False)
     def possible(self, theta: Array) -> bool:
         """Whether all noise has a covariance at theta."""
         record = self.model.record(theta)
@@ -77,8 +89,13 @@ class QFunction:
 
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Which free parameters move what has no noise (n,): Q is no guide to these."""
-        record = self.model.record(theta)
-        neighbours = [self._neighbours(theta, k) for k in free]
+        told = partial(self._moves_noise_free, theta, free)
+        return beside(self.model, self.value, theta, free, told)
+
+    def _moves_noise_free(
+        self, theta: Array, free: NDArray[np.intp], ends: Ends
+    ) -> NDArray[np.bool_]:
+        record, neighbours = self.model.record(theta), self._neighbours(free, ends)
         out = np.zeros(len(free), dtype=bool)
         for term, depends in zip(self.terms, self.depends, strict=True):
             which = np.flatnonzero(depends[free] & ~out)
@@ -86,9 +103,12 @@ class QFunction:
                 out[which] = term.moves_noise_free(record, [neighbours[i] for i in which])
         return out
 
-    def _neighbours(self, theta: Array, k: int) -> tuple[Any, Any, float]:
-        below, above = either_side(self.model, theta, k, STEP_SHARE)
-        return self.model.record(below), self.model.record(above), float(above[k] - below[k])
+    def _neighbours(self, free: NDArray[np.intp], ends: Ends) -> Neighbours:
+        record = self.model.record
+        return [
+            (record(below), record(above), apart(below, above, int(k)))
+            for k, (below, above) in zip(free, ends, strict=True)
+        ]
 
 
 def parameter_scale(model: BaseModel, theta: Array, k: int) -> float:
@@ -120,6 +140,37 @@ def either_side(model: BaseModel, theta: Array, k: int, share: float) -> tuple[A
     below[k] = max(theta[k] - step, model.lower[k])
     above[k] = min(theta[k] + step, model.upper[k])
     return below, above
+
+
+def beside(
+    model: BaseModel,
+    value: Callable[[Array], float],
+    theta: Array,
+    free: NDArray[np.intp],
+    told: Callable[[Ends], Told],
+) -> Told:
+    """What is ``told`` by points to either side of theta in each free parameter.
+
+    Theta stands for one without a finite ``value``, as the model cannot be had there.
+    """
+    ends = [either_side(model, theta, int(k), STEP_SHARE) for k in free]
+    try:
+        found = told(ends)
+    except ModelError as error:
+        if not error.numeric:
+            raise
+    else:
+        numbers: Any = found[1] if isinstance(found, tuple) else found
+        if np.isfinite(numbers).all():
+            return found
+    here = np.asarray(theta)
+    usable = [[one if np.isfinite(value(one)) else here for one in pair] for pair in ends]
+    return told([(below, above) for below, above in usable])
+
+
+def apart(below: Array, above: Array, k: int) -> float:
+    """How far two points are apart in parameter k; 1 for one and the same, between which nothing differs."""
+    return float(above[k] - below[k]) or 1.0
 
 
 def expectation(

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.estimation.expectation import STEP_SHARE, either_side
+from engine.estimation.edges import where_it_fails
+from engine.estimation.expectation import Ends, apart, beside
 from engine.statespace.base import Array, Theta
 from engine.statespace.general import NonlinearModel
 
@@ -26,20 +28,27 @@ class TrajectoryQ:
     model: NonlinearModel
     draws: Sequence[tuple[Series, Array]]
 
+    @where_it_fails(-np.inf)
     def value(self, theta: Array) -> float:
-        """Q(theta, theta_k)."""
+        """Q(theta, theta_k); -inf where the model cannot be had."""
         record = self.model.record(theta)
         total = sum(float(log_p.mean(axis=1).sum()) for log_p in self._log_densities(record))
         return total if np.isfinite(total) else -np.inf
 
     def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
         """Value, gradient (n,) and outer product of scores (n, n) in the n free parameters."""
+        told = partial(self._derivatives, theta, free)
+        return beside(self.model, self.value, theta, free, told)
+
+    def _derivatives(
+        self, theta: Array, free: NDArray[np.intp], ends: Ends
+    ) -> tuple[float, Array, Array]:
         gradient, H = np.zeros(len(free)), np.zeros((len(free), len(free)))
         slopes = []
-        for k in free:
-            below, above = either_side(self.model, theta, int(k), STEP_SHARE)
-            pair = (self._log_densities(self.model.record(end)) for end in (below, above))
-            slopes.append([(b - a) / (above[k] - below[k]) for a, b in zip(*pair, strict=True)])
+        for k, both in zip(free, ends, strict=True):
+            pair = (self._log_densities(self.model.record(end)) for end in both)
+            far = apart(*both, int(k))
+            slopes.append([(b - a) / far for a, b in zip(*pair, strict=True)])
         for part in zip(*slopes, strict=True):
             scores = np.array(part)  # (n, T, N)
             gradient += scores.mean(axis=2).sum(axis=1)
@@ -47,8 +56,8 @@ class TrajectoryQ:
         return self.value(theta), gradient, H
 
     def possible(self, theta: Array) -> bool:
-        """Always: densities have no covariances."""
-        return True
+        """Whether the densities can be had: they have no covariances."""
+        return self.value(theta) > -np.inf
 
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """None (n,): a general model is given by densities, which have no such directions."""

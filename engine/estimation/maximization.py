@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from engine.errors import OptionError
+from engine.estimation.edges import where_it_fails
 from engine.estimation.expectation import parameter_scale
 from engine.statespace.base import Array, BaseModel
 from engine.statespace.refutation import repeated_if_refuted
@@ -117,9 +118,10 @@ def _bfgs(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
     def negative(x: Array) -> tuple[float, Array]:
         trial = theta.copy()
         trial[free] = np.clip(x * scale, q.model.lower[free], q.model.upper[free])
-        value, g, _ = q.derivatives(trial, free)
+        nothing = np.zeros_like(x)
+        value, g, _ = where_it_fails((-np.inf, nothing, nothing))(q.derivatives)(trial, free)
         if not np.isfinite(value):
-            return 1e300, np.zeros_like(x)
+            return 1e300, nothing
         return -value, -g * scale
 
     bounds = list(zip(q.model.lower[free] / scale, q.model.upper[free] / scale, strict=True))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.errors import ModelError
+from engine.estimation.edges import Edges, where_it_fails
 from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.jumps import sides, slopes
 from engine.estimation.maximization import scoring_step
@@ -147,13 +148,23 @@ def quasi_ml(  # noqa: PLR0913
         check_start(model, theta, one)
     given, model = model, with_scales(model, all_series, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
-    lower, upper = model.lower[indices], model.upper[indices]
+    edges = Edges(model.lower[indices], model.upper[indices])
     visited = [Visited() for _ in all_series] if visited is None else visited
     value, g, H = derivatives(model, all_series, theta, indices, visited)
     if not np.isfinite(value):
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
         )
+
+    def learnt() -> bool:
+        x = theta[indices]
+        step = scoring_step(x, g, H, edges.lower, edges.upper, DAMPING)
+        return edges.learnt(
+            x,
+            step,
+            lambda each: log_likelihoods(model, all_series, free_thetas(theta, indices, each)),
+        )
+
     converged, given_up, iterations, damping, whole = False, False, 0, DAMPING, True
     gains: list[float] = []
     idle = 0  # steps in turn that gained next to nothing
@@ -162,12 +173,14 @@ def quasi_ml(  # noqa: PLR0913
         if callback is not None:
             callback(iterations)
         x = theta[indices]
-        direction = scoring_step(x, g, H, lower, upper, damping)
+        direction = scoring_step(x, g, H, edges.lower, edges.upper, damping)
         with np.errstate(over="ignore", invalid="ignore"):
             expected = float(g @ direction)
         if not np.isfinite(expected):
             break  # no slope leads anywhere
         if not expected > tolerance:
+            if edges.closer(x, g, tolerance):
+                continue
             converged = True
             break
         # at a kink hardly anything of what is expected is gained, however far away the maximum is
@@ -178,12 +191,15 @@ def quasi_ml(  # noqa: PLR0913
             given_up = True
             break
         moved, there, whole = _step(
-            model, all_series, theta, indices, direction, value, expected, visited, whole
+            model, all_series, theta, indices, direction, value, expected, visited, whole, edges
         )
         if moved is None:
-            if damping > 1.0:
+            if damping <= 1.0:
+                damping = max(damping * 1e3, 1e-4)
+                continue
+            if not learnt():
                 break
-            damping = max(damping * 1e3, 1e-4)
+            damping, whole = DAMPING, True
             continue
         free_step = whole and damping <= DAMPING
         damping = max(damping / 10.0, DAMPING)
@@ -195,6 +211,9 @@ def quasi_ml(  # noqa: PLR0913
         # a step that was cut short may gain next to nothing at a kink beside a long way up
         idle = idle + 1 if gained < 0.1 * tolerance else 0
         if idle > 1 or (idle and free_step):
+            if learnt():
+                idle, damping, whole = 0, DAMPING, True
+                continue
             converged = True
             break
     best = Theta(theta, model.parameter_names)
@@ -254,6 +273,7 @@ def _step(
     expected: float,
     visited: Sequence[Visited],
     whole: bool,
+    edges: Edges,
 ) -> tuple[Array | None, tuple[float, Array, Array], bool]:
     """The new theta with its derivatives, and whether the step was a whole one.
 
@@ -261,15 +281,17 @@ def _step(
     as most steps are good; where it gains less than a part of what was expected, or the last one did, step
     lengths are compared first.
     """
-    lower, upper = model.lower[indices], model.upper[indices]
-    trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
+    x = theta[indices]
+    trials = np.clip(x + TRIES[:, None] * direction, edges.lower, edges.upper)
     moved = free_thetas(theta, indices, trials[:1])[0]
     here = [one.copy() for one in visited]
     there = -np.inf, direction, direction
     if whole:
-        there = derivatives(model, all_series, moved, indices, visited)
+        there = _derivatives_or_none(model, all_series, moved, indices, visited)
         if there[0] > value + GOOD * expected:
             return moved, there, True
+        if not np.isfinite(there[0]):  # perhaps at a bound: half the way there, then, and less
+            trials = np.where(trials == trials[0], x + TRIES[:, None] * (trials[0] - x), trials)
     values = np.full(len(trials), -np.inf)
     for part in BATCHES if whole else SHORT:
         thetas = free_thetas(theta, indices, trials[part])
@@ -284,7 +306,21 @@ def _step(
     moved = free_thetas(theta, indices, trials[best : best + 1])[0]
     for one, before in zip(visited, here, strict=True):
         one.seen, one.moved = before.seen, before.moved
-    return moved, derivatives(model, all_series, moved, indices, visited), best == 0
+    there = _derivatives_or_none(model, all_series, moved, indices, visited)
+    return moved, there, best == 0
+
+
+def _derivatives_or_none(
+    model: MixedModel,
+    all_series: Sequence[Series],
+    theta: Array,
+    indices: NDArray[np.intp],
+    visited: Sequence[Visited],
+) -> tuple[float, Array, Array]:
+    """The derivatives at a trial; a likelihood of -inf where a calculation of the model fails."""
+    n = len(indices)
+    nothing = -np.inf, np.zeros(n), np.zeros((n, n))
+    return where_it_fails(nothing)(derivatives)(model, all_series, theta, indices, visited)
 
 
 def log_likelihoods(
@@ -295,13 +331,21 @@ def log_likelihoods(
 ) -> Array:
     """Log-likelihood of all series together at each of the parameter vectors (K, n_theta).
 
-    ``visited``, one for each series, at a theta not far from them, spares a model that takes one parameter
-    vector a call the steps one by one.
+    It is -inf where there is none, as a calculation of the model fails or a filter is lost. ``visited``, one
+    for each series, at a theta not far from them, spares a model that takes one parameter vector a call the
+    steps one by one.
     """
-    each = [
-        filter_all(model, thetas, one, visited[i] if visited else None).log_likelihood
-        for i, one in enumerate(all_series)
-    ]
+    try:
+        each = [
+            filter_all(model, thetas, one, visited[i] if visited else None).log_likelihood
+            for i, one in enumerate(all_series)
+        ]
+    except ModelError as error:
+        if not error.numeric:
+            raise
+        if len(thetas) == 1:
+            return np.array([-np.inf])
+        return np.concatenate([log_likelihoods(model, all_series, one[None]) for one in thetas])
     return np.asarray(np.sum(each, axis=0))
 
 
@@ -346,19 +390,25 @@ def derivatives(
     ``visited``, one for each series, is what a search hands on from theta to theta. Where noise has a random
     scale the information is that of the predicted means, and beside it what the other part of the rows' scores
     tells (Berndt, Hall, Hall, Hausman 1974): of outliers the moments of y do not have it. Rows that jump
-    between the neighbours of theta tell the slope of the side that does not.
+    between the neighbours of theta tell the slope of the side that does not. So does a neighbour that has no
+    likelihood. Raises ModelError where the model fails at theta.
     """
     thetas, distances = neighbours(model, theta, indices)
-    n, apart = len(indices), sides(thetas, indices)
+    n, both = len(indices), sides(thetas, indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
     for i, one in enumerate(all_series):
         f = filter_neighbours(model, thetas, one, visited[i] if visited else None)
-        total = f.log_likelihood
-        value += float(total[0])
+        value += float(f.log_likelihood[0])
         if not np.isfinite(value):
             return -np.inf, g, H
-        # a lost neighbour: the value is -inf below
-        with np.errstate(invalid="ignore", over="ignore"):
+        lost = ~np.isfinite(f.log_likelihood)
+        apart, distances = both, both[2]
+        if lost.any():  # theta stands for them; the value is -inf below where both sides are lost
+            f = f.of(np.where(lost, 0, np.arange(len(thetas))))
+            apart = sides(np.where(lost[:, None], thetas[0], thetas), indices)
+            distances = apart[2]
+        total = f.log_likelihood
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             d_log = slopes(f.log_terms, *apart)
             jumped = d_log - (f.log_terms[:, 2::2] - f.log_terms[:, 1::2]) / distances
             g += (total[2::2] - total[1::2]) / distances + np.nan_to_num(jumped).sum(axis=0)

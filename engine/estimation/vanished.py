@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.errors import EngineError
 from engine.estimation.e_steps import ParticleStep
+from engine.estimation.edges import in_turn
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml, with_scales
 from engine.estimation.wandering import clearly_likelier
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import BaseModel, Theta
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.model import Array
 
 NOTHING = 2.0  # nats: what is worth less cannot be told from nothing, and stays there
+NEXT_TO = np.array([0.0, 1e-3])  # of the way from its bound, where the model may not be had
 SIZES = 10.0 ** np.arange(-2.0, 4.1, 0.5)  # of the typical one, at which it is looked for
 CLIMBS = 3  # at most, from the best of them
 NEAR = 0.1  # of its size: so near its lower bound a parameter has vanished for particles ...
@@ -39,10 +41,10 @@ def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOU
     ``NOTHING`` tells.
     """
     for _ in range(CLIMBS):
-        start = _more_of_it(fit, all_series)
-        if start is None:
-            break
         try:
+            start = _more_of_it(fit, all_series)
+            if start is None:
+                break
             found = quasi_ml(fit.model, all_series, start, fit.free, tolerance=tolerance)
         except FAILURES:
             break
@@ -58,28 +60,20 @@ def _more_of_it(fit: QuasiFit, all_series: Sequence[Series]) -> Array | None:
     model = with_scales(fit.model, all_series, theta, indices)
     sizes = indices[model.lower[indices] >= 0.0]
     value = fit.log_likelihood
-    without = _likely(model, all_series, _each(theta, sizes, model.lower[sizes, None]))
-    gone = sizes[np.abs(without - value) <= NOTHING]
+    if not sizes.size:
+        return None
+    least = model.lower[sizes, None] + NEXT_TO * (theta[sizes] - model.lower[sizes])[:, None]
+    without = log_likelihoods(model, all_series, in_turn(theta, sizes, least))
+    gone = sizes[np.abs(without.reshape(least.shape) - value).min(axis=1) <= NOTHING]
+    if not gone.size:
+        return None
     scales = np.array([parameter_scale(model, theta, int(k)) for k in gone])
     low, high = model.lower[gone, None], model.upper[gone, None]
-    more = _each(theta, gone, np.clip(scales[:, None] * SIZES, low, high))
-    values = _likely(model, all_series, more)
-    if not values.max(initial=-np.inf) > value:
+    more = in_turn(theta, gone, np.clip(scales[:, None] * SIZES, low, high))
+    values = log_likelihoods(model, all_series, more)
+    if not values.max() > value:
         return None
     return np.asarray(more[int(np.argmax(values))])
-
-
-def _likely(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
-    """Log-likelihoods of thetas (K, n_theta), -inf without one: so far out a user's function may fail."""
-    if not len(thetas):
-        return np.zeros(0)
-    try:
-        values = log_likelihoods(model, all_series, thetas)
-    except FAILURES:
-        if len(thetas) == 1:
-            return np.array([-np.inf])
-        return np.concatenate([_likely(model, all_series, one[None]) for one in thetas])
-    return np.where(np.isfinite(values), values, -np.inf)
 
 
 def revived_by_particles(
@@ -110,10 +104,3 @@ def revived_by_particles(
         if value > highest:
             best, highest = one, value
     return best if best is not None and clearly_likelier(theta, best, particles, seed) else None
-
-
-def _each(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:
-    """Theta with one of its components at one of its ``values`` (n, K), each in turn (n K, n_theta)."""
-    out = np.tile(theta, (values.size, 1))
-    out[np.arange(values.size), np.repeat(indices, values.shape[1])] = values.ravel()
-    return out

@@ -53,8 +53,20 @@ class FilterSteps:
 
     @cached_property
     def _first(self) -> tuple[Array, Array]:
-        starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]
-        return np.array([m for m, _ in starts]), np.array([P for _, P in starts])
+        """Moments of x_1; NaN at a theta where they cannot be calculated, unless all are such."""
+        nx = self.model.nx
+        means, covs = np.full((self.thetas.K, nx), np.nan), np.full((self.thetas.K, nx, nx), np.nan)
+        failed: ModelError | None = None
+        for k, theta in enumerate(self.thetas.thetas):
+            try:
+                means[k], covs[k] = first_moments(self.model, theta)
+            except ModelError as error:
+                if not error.numeric:
+                    raise
+                failed = error
+        if failed is not None and np.isnan(means).all():
+            raise failed
+        return means, covs
 
     def observation(self, t: int, a: Array) -> tuple[Array, Array, Array]:
         """h (K S, ny), C and R (1 or K S, ., .) at the points a (K S, na)."""

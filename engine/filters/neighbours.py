@@ -145,9 +145,7 @@ def _each(run: FilterSteps, visited: Visited) -> MomentFiltered:
     if left:
         rest = moment_filter(model, thetas[left], series)
         for i, k in enumerate(left):
-            found[k] = MomentFiltered(
-                rest.innovations[:, i : i + 1], rest.S[:, i : i + 1], rest.log_terms[:, i : i + 1]
-            )
+            found[k] = rest.of(np.array([i]))
     every = [one for one in found if one is not None]
     return MomentFiltered(
         np.concatenate([one.innovations for one in every], axis=1),
@@ -285,7 +283,10 @@ def _spread(points: Array) -> Array:
 
 
 class _Known:
-    """What a model returns for each of K records at its points (T, K S, na), and slopes by a for the first."""
+    """What a model returns for each of K records at its points (T, K S, na), and slopes by a for the first.
+
+    NaN for a record but the first with which a calculation fails.
+    """
 
     def __init__(
         self, run: FilterSteps, a: Array, records: list[Any], spread: Array, transition: bool
@@ -301,7 +302,14 @@ class _Known:
     def at(self, rows: NDArray[np.intp]) -> tuple[Array, ...]:
         """Points, values and slopes at some rows, as :func:`filter_near` wants them."""
         pairs = zip(self.each, self.records, strict=True)
-        each = [points.at(rows, record, self.transition) for points, record in pairs]
+        each: list[tuple[Array, ...]] = []
+        for points, record in pairs:
+            try:
+                each.append(points.at(rows, record, self.transition))
+            except ModelError as error:
+                if not (each and error.numeric):
+                    raise
+                each.append(tuple(np.full_like(own[:, : self.S], np.nan) for own in each[0]))
         (f, slopes), *matrices = (self._split(part) for part in each[0])
         return (
             self.a[rows],

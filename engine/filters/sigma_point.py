@@ -51,6 +51,12 @@ class MomentFiltered(Shown):
             total = self.log_terms.sum(axis=0)
         return np.where(np.isfinite(total), total, -np.inf)
 
+    def of(self, which: NDArray[np.intp]) -> MomentFiltered:
+        """Those of the filters that are named by their positions (n,)."""
+        return MomentFiltered(
+            self.innovations[:, which], self.S[:, which], self.log_terms[:, which]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class MomentPath:

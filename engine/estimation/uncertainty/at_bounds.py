@@ -20,6 +20,9 @@ PRESSED_NATS = 0.5  # that a parameter next to its bound gains at most on its wa
 ON_ITS_SIDE = 0.1  # ... from so near, beside all the room there is
 FURTHER = 1e9  # times the way to the bound: there the likelihood has to be another ...
 ROUNDING = 1e-12  # ... by more than this share of it
+NEXT_TO = (
+    1e-3  # of the way from a bound, beside which the model can be had where it cannot be had there
+)
 
 
 def pressed_onto_bounds(
@@ -50,10 +53,15 @@ def pressed_onto_bounds(
 
 
 def _as_likely(score: Score, k: int, bound: float) -> bool:
-    """Whether the bound of parameter k is as likely as its value, and what is beyond that is no likelier."""
+    """Whether the bound of parameter k is as likely as its value, and what is beyond that is no likelier.
+
+    Where the model cannot be had at its bound, what is next to it is asked.
+    """
     x, width = score.x, score.bounds[1][k] - score.bounds[0][k]
     way = np.sign(x[k] - bound) * min(ON_ITS_SIDE * width, FURTHER * abs(x[k] - bound))
     here, least, far = (score.value(_moved(x, k, at)) for at in (x[k], bound, bound + way))
+    if not np.isfinite(least):
+        least = score.value(_moved(x, k, bound + NEXT_TO * (x[k] - bound)))
     rounding = ROUNDING * (1.0 + abs(here))
     # one that nothing depends on is at no bound
     return bool(-rounding < least - here < PRESSED_NATS and not far > here - rounding)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from engine.estimation.edges import where_it_fails
 from engine.estimation.uncertainty.roots import floored_inverse, good_guess, symmetric_root
 from engine.estimation.uncertainty.score import Score, shift_within
 from engine.statespace.model import Array
@@ -24,15 +25,22 @@ BENT = 0.05
 def whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:
     """L' I L from central differences of the score along the columns of L, clipped to the bounds.
 
-    Where it is exact it is that of the log-likelihood, which is had for many parameters at once.
+    Where it is exact it is that of the log-likelihood, which is had for many parameters at once. Theta stands
+    for an end where the model cannot be had; NaN where it does for both.
     """
     ends, lengths = _ends(score, L, EXACT_REACH if score.exact else REACH_ERRORS)
     if score.exact:
         found = _by_values(score, L, ends, lengths)
         if np.isfinite(found).all() and good_guess(found):
             return found
-    low, high = (np.array([score.at(x, which)[0] for x in side]) for side in ends)
-    G: Array = (low - high) @ L / lengths.sum(axis=0)[:, None]
+    nothing = np.full(len(score.x), np.nan), np.empty((0, 0))
+    at = where_it_fails(nothing)(score.at)
+    slopes = np.array([[at(x, which)[0] for x in side] for side in ends])
+    lost = ~np.isfinite(slopes).all(axis=2)
+    if lost.any():
+        slopes[lost], lengths[lost] = score.at(score.x, which)[0], 0.0
+    with np.errstate(invalid="ignore"):
+        G: Array = (slopes[0] - slopes[1]) @ L / lengths.sum(axis=0)[:, None]
     return 0.5 * (G + G.T)
 
 

@@ -12,7 +12,7 @@ def crawling(monkeypatch):
     """A search of which each step gains a hundredth of a nat, whatever the slopes promise."""
     derivatives = module.derivatives
 
-    def step(model, every, theta, indices, direction, value, expected, visited, whole):
+    def step(model, every, theta, indices, direction, value, expected, visited, whole, edges):
         moved = theta.copy()
         moved[indices] += 1e-6 * direction
         _, g, H = derivatives(model, every, moved, indices)

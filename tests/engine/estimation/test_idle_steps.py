@@ -18,13 +18,13 @@ def test_a_search_goes_on_after_a_step_that_was_cut_short(monkeypatch):
     start = MODEL.theta(0.3 * np.asarray(there.theta))
     own, calls = module._step, []
 
-    def step(model, given, theta, indices, direction, value, expected, visited, whole):
+    def step(model, given, theta, indices, direction, value, expected, visited, whole, edges):
         calls.append(value)
         if len(calls) == 1:
             moved = theta + 0.0
             moved[indices] += 1e-12 * direction
             return moved, module.derivatives(model, given, moved, indices, visited), False
-        return own(model, given, theta, indices, direction, value, expected, visited, whole)
+        return own(model, given, theta, indices, direction, value, expected, visited, whole, edges)
 
     monkeypatch.setattr(module, "_step", step)
     found = module.quasi_ml(MODEL, series, start)
