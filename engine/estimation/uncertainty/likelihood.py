@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import PchipInterpolator
 
 from engine.data.given import as_series_list
 from engine.data.series import Series
@@ -119,6 +119,7 @@ def likelihood_intervals(  # noqa: PLR0913
     failed = said_of_failure(theta if isinstance(theta, Estimate) else None)
     theta, free = of_estimate(theta, free)
     theta = model.theta(theta)
+    exact = exact or model.na == 0  # particles would repeat one another
     if errors is None:
         with warnings.catch_warnings():  # an interval finds the maximum for itself
             warnings.simplefilter("ignore", NotSettledWarning)
@@ -198,7 +199,7 @@ def ends(
     The maximum is reached uphill from ``start``. A side that never falls enough ends where the interval
     may reach at most, ``outermost``.
     """
-    height = CubicSpline(at, slope).antiderivative()
+    height = PchipInterpolator(at, slope).antiderivative()
     parts = [np.linspace(a, b, STEP_PARTS, endpoint=False) for a, b in pairwise(at)]
     x = np.append(np.concatenate(parts), at[-1])
     y: NDArray[np.float64] = height(x)

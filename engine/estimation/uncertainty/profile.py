@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import PchipInterpolator
 
 from engine.errors import ModelError
 from engine.estimation.uncertainty.observed import score_decrement
@@ -222,7 +222,7 @@ def _heights(k: int, points: Sequence[Point]) -> Array:
     """The curve (P,) at points in turn, from its slopes."""
     at, slopes = np.array([p.x[k] for p in points]), np.array([p.slope for p in points])
     order = np.argsort(at)
-    return np.asarray(CubicSpline(at[order], slopes[order]).antiderivative()(at))
+    return np.asarray(PchipInterpolator(at[order], slopes[order]).antiderivative()(at))
 
 
 def _fallen(k: int, points: Sequence[Point]) -> float:
