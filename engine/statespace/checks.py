@@ -62,14 +62,7 @@ def with_least_noise(
             p = model.parameters[k]
             size = max(abs(tried[k]), abs(p.default), p.scale) or 1.0
             tried[k] = max(value * size, p.bounds[0])
-        try:
-            for one in all_series:
-                _check_on(model, tried, one)
-        except ModelError as error:
-            if not error.numeric:
-                raise
-            return False
-        return True
+        return failure(model, tried, all_series) is None
 
     parameters = list(model.parameters)
     asked = [int(k) for k in indices if parameters[k].bounds[0] < 0.0 <= theta[k]]
@@ -80,6 +73,21 @@ def with_least_noise(
         if possible([k], 0.0) and not possible([k], -BELOW):
             parameters[k] = replace(parameters[k], bounds=(0.0, parameters[k].bounds[1]))
     return model.with_parameters(parameters)
+
+
+def failure(model: MixedModel, theta: Array, all_series: Sequence[Series]) -> ModelError | None:
+    """The calculation that fails at theta on some rows of the series; None where the model can be had.
+
+    Raises ModelError where something else is wrong.
+    """
+    try:
+        for one in all_series:
+            _check_on(model, theta, one)
+    except ModelError as error:
+        if not error.numeric:
+            raise
+        return error
+    return None
 
 
 def _check_on(model: MixedModel, theta: Array, series: Series) -> None:

@@ -163,3 +163,24 @@ def test_an_edge_is_led_closer_as_long_as_that_is_worth_it():
     assert edges.closer(x, np.array([-1.0, 0.0]), 1e-3)
     assert edges.lower[0] < before
     assert not edges.learnt(x, np.array([0.5, 0.5]), likelihoods)
+
+
+def test_an_estimate_next_to_it_says_so_with_the_error_of_the_function_once():
+    found = engine.rts_em(walk(by_root), STILL, {"q": 1e-4 + 1e-6, "r": 0.96}, n_iterations=5)
+    said = "The estimate is next to where the model cannot be had, at q = "
+    assert found.message.count(said) == found.message.count("math domain error") == 1
+
+
+def test_nothing_is_said_of_a_variance_without_a_declared_bound():
+    model = engine.MixedModel(
+        name="walk",
+        dynamics=lambda a, u, t, dt, theta: ([0.0], [[1.0]], [[theta.q]]),
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[1.0]]),
+        initial=lambda theta: (None, [0.0], [[1.0]]),
+        linear={"place": "m"},
+        outputs={"y": "m"},
+        parameters=[engine.Parameter("q", 0.1, "m^2")],
+    )
+    found = engine.rts_em(model, STILL)
+    assert found.theta["q"] < 1e-3
+    assert "cannot be had" not in found.message

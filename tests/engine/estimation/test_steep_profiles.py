@@ -18,7 +18,9 @@ def test_a_steep_end_does_not_bend_the_other_one():
     assert 0.25 < high <= 0.39
 
 
-@pytest.mark.filterwarnings("ignore::engine.errors.NotSettledWarning")  # the upper end may not be found
+@pytest.mark.filterwarnings(
+    "ignore::engine.errors.NotSettledWarning"
+)  # the upper end may not be found
 @pytest.mark.long
 def test_a_likelihood_that_does_not_fall_has_no_end_there():
     model = engine.MixedModel(
