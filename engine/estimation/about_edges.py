@@ -19,10 +19,11 @@ BESIDE = 1e-3  # of a parameter's size: so near an edge is what stopped it
 def about_edges(
     model: MixedModel, theta: Theta, free: Sequence[str], all_series: Sequence[Series]
 ) -> str:
-    """A sentence with the function's error where free parameters are next to values at which it fails, or ""."""
+    """A sentence with the function's error where free parameters are next to values it fails at, else ""."""
     places, first = [], ""
     indices = model.free_indices(free)
-    model = with_least_noise(model, np.asarray(theta), indices, all_series)  # that bound is told
+    # that bound is told
+    model = with_least_noise(model, np.asarray(theta), indices, all_series)
     for k in indices.tolist():
         reach = BESIDE * parameter_scale(model, np.asarray(theta), k)
         for there in (max(theta[k] - reach, model.lower[k]), min(theta[k] + reach, model.upper[k])):

@@ -60,6 +60,7 @@ from engine.statespace.random_scale import RandomScale
 from engine.statespace.shapes import as_matrix as as_matrix
 from engine.statespace.shapes import as_rows as as_rows
 from engine.statespace.shapes import stacked as stacked
+from engine.statespace.trial import is_numeric
 
 
 class Density(Protocol):
@@ -314,7 +315,7 @@ class MixedModel(BaseModel):
             raise ModelError(
                 f"model '{self.name}': initial raised {type(error).__name__}: {error}",
                 placed=True,
-                numeric=isinstance(error, (ArithmeticError, ValueError)),
+                numeric=is_numeric(error),
             ) from error
         if not isinstance(given, tuple | list) or len(given) != 3:
             raise ModelError(f"initial returned {_told(given)}; {FIRST}")

@@ -20,9 +20,9 @@ def as_rows(value: Any, M: int, n: int, where: str) -> Array:
     if value.__class__ is not list:
         if isinstance(value, np.ndarray) and value.dtype.char != "O":
             if value.shape == (M, n):
-                return regular(value)
+                return regular(value, where)
             if value.shape == (n,):
-                return np.repeat(np.asarray(value, dtype=float)[None], M, axis=0)
+                return np.repeat(regular(value, where)[None], M, axis=0)
             raise _shape_error(where, value.shape, f"({M}, {n}) or ({n},)")
         if _is_number(value):  # a single row may be written as a number
             value = [value]
@@ -33,8 +33,9 @@ def as_rows(value: Any, M: int, n: int, where: str) -> Array:
     try:
         for i, row in enumerate(value):
             if row.__class__ is not float or row != 0.0:
-                out[:, i] = row
+                out[:, i] = real(row, where) if row.__class__ is np.ndarray else row
     except (ValueError, TypeError) as error:
+        real(row, where)
         raise ModelError(
             f"{where}: row {i} has shape {np.shape(row)}; a number or ({M},) is needed"
         ) from error
@@ -50,19 +51,26 @@ def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
         value = _nested(value, M, rows, columns, where)
     shape = value.shape
     if shape == (rows, columns) or shape == (M, rows, columns):
-        return regular(value)
+        return regular(value, where)
     if value.size == rows * columns == 0:
         return np.zeros((rows, columns))
     raise _shape_error(where, shape, f"({rows}, {columns}) or ({M}, {rows}, {columns})")
 
 
-def regular(value: Any) -> Array:
+def regular(value: Any, where: str) -> Array:
     """The one layout that kernels are compiled for: float, C-contiguous, writeable."""
     out: Array = value
     if out.flags.carray and out.dtype.char == "d":
         return out
-    out = np.ascontiguousarray(value, dtype=float)
+    out = np.ascontiguousarray(real(value, where), dtype=float)
     return out if out.flags.writeable else out.copy()
+
+
+def real(value: Any, where: str) -> Any:
+    """The value, unless it is complex: its real part alone, which NumPy would keep, is another model."""
+    if np.iscomplexobj(value):
+        raise ModelError(f"{where} is complex, as the root of a negative number is", numeric=True)
+    return value
 
 
 def stacked(matrix: Array) -> Array:
@@ -91,7 +99,7 @@ def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     out = np.empty((M, rows, columns))
     for i, row in enumerate(value):
         for j, entry in enumerate(row):
-            out[:, i, j] = entry
+            out[:, i, j] = real(entry, where)
     return out
 
 

@@ -198,5 +198,10 @@ class Trial:
 
 
 def is_numeric(error: Exception) -> bool:
-    """Whether a calculation failed at these values, in contrast to a function that is wrong."""
-    return error.numeric if isinstance(error, ModelError) else isinstance(error, NUMERIC)
+    """Whether a calculation failed at these values, in contrast to a function that is wrong.
+
+    A power of a negative number, ``theta.q ** 0.5``, is complex in Python, which no function after it takes.
+    """
+    if isinstance(error, ModelError):
+        return error.numeric
+    return isinstance(error, NUMERIC) or (isinstance(error, TypeError) and "complex" in str(error))

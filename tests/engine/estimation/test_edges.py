@@ -10,6 +10,7 @@ from engine.errors import ModelError
 from engine.estimation.edges import Edges
 from engine.estimation.quasi_ml import derivatives, log_likelihoods, quasi_ml
 from engine.estimation.start import WarmStart
+from engine.statespace.shapes import as_matrix, as_rows
 
 READ = np.random.default_rng(0).normal(size=200)  # nothing but noise: the walk's q is at its least
 STILL = engine.Series(READ, dt=1.0)
@@ -184,3 +185,34 @@ def test_nothing_is_said_of_a_variance_without_a_declared_bound():
     found = engine.rts_em(model, STILL)
     assert found.theta["q"] < 1e-3
     assert "cannot be had" not in found.message
+
+
+@pytest.mark.filterwarnings("error")  # NumPy drops an imaginary part with a warning
+@pytest.mark.parametrize("as_array", [True, False])
+def test_a_root_of_a_negative_number_is_no_model(as_array):
+    """Python's ``theta.q ** 0.5`` is complex below zero, where it is asked whether a variance may be."""
+
+    def dynamics(a, u, t, dt, theta):
+        spread = theta.q**0.5
+        return [0.0], [[1.0]], np.array([[spread]]) ** 2 if as_array else [[spread**2]]
+
+    model = engine.MixedModel(
+        name="walk",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[1.0]]),
+        initial=lambda theta: (None, [0.0], [[1.0]]),
+        linear={"place": "m"},
+        outputs={"y": "m"},
+        parameters=[engine.Parameter("q", 0.1, "m^2")],
+    )
+    assert 0.0 <= quasi_ml(model, STILL).theta["q"] < 1e-3
+    with pytest.raises(ModelError, match=r"dynamics.*complex"):
+        quasi_ml(model, STILL, {"q": -1.0})
+
+
+@pytest.mark.parametrize("row", [1j, np.array([1j, 0.0])])
+def test_what_is_complex_is_told_with_its_place(row):
+    for call in (as_rows, lambda value, M, n, where: as_matrix([value], M, 1, n, where)):
+        with pytest.raises(ModelError, match="dynamics: f is complex") as told:
+            call([row], 2, 1, "dynamics: f")
+        assert told.value.numeric
