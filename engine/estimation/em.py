@@ -107,8 +107,9 @@ def rbps_em(  # noqa: PLR0913
         Run a filter that collapsed, or fell far short of the moment filter, again with more particles.
         ``quasi-newton`` then ends at a point that the moment filter finds ahead, where the particle filter
         finds it likelier, too. Where the model is linear Gaussian it ends at the maximum of the exact
-        likelihood. Where iterates settle with a parameter next to its lower bound, as a noise that vanished is,
-        they go on from a larger value that particles find clearly likelier. The papers do none of this.
+        likelihood. Where iterates settle with a noise that vanished, next to its lower bound or where its
+        logarithm does nothing, they go on from more of it that particles find clearly likelier. The papers do
+        none of this.
     m_step : str
         How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional

@@ -17,6 +17,7 @@ from engine.errors import ModelError
 from engine.estimation.em_result import EmResult
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.vanished import likelier_with_more
 from engine.estimation.wandering import moved
 from engine.filters.kalman import kalman_smoother
 from engine.filters.sigma_point import free_thetas
@@ -62,7 +63,8 @@ class Summit:
         least = max(self.worth, LEAST_NATS)
         here = self.likelihood.of(found.theta)
         best, highest = found.theta, here
-        for start in (found.theta, *self.known(), *self._larger(found)):
+        elsewhere = (*self.known(), *self._larger(found), *self._with_more(found, here))
+        for start in (found.theta, *elsewhere):
             theta, value = self._climbed(start, found.free, least)
             if value > highest:
                 best, highest = theta, value
@@ -97,6 +99,13 @@ class Summit:
         values = np.array([self.likelihood.of(one) for one in tried])
         values = np.where(np.isfinite(values), values, -np.inf)
         return [tried[int(np.argmax(values))]] if tried and values.max() > -np.inf else []
+
+    def _with_more(self, found: EmResult, here: float) -> list[Theta]:
+        """A likelier point with more of a noise that vanished to whatever side it does, if there is any."""
+        model, names = self.likelihood.model, found.theta.names
+        indices, theta = model.free_indices(found.free), np.asarray(found.theta)
+        more = likelier_with_more(model, self.likelihood.all_series, theta, indices, here)
+        return [] if more is None else [Theta(more, names)]
 
     def _tried(self, found: EmResult) -> list[tuple[str, Theta]]:
         """Points with a larger value of one parameter that is next to its bound 0, with its name."""

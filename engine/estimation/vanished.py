@@ -1,8 +1,9 @@
 """Another maximum of the likelihood where a noise that went to nothing on the way is large.
 
 The likelihood is flat in a standard deviation at 0, so a search that once came there stays: no slope leads on,
-and between nothing and as much of it as the data call for there may be a valley. The moment filter may have led
-it there where particles know better.
+and between nothing and as much of it as the data call for there may be a valley. The same noise written as a
+logarithm, or as a precision, vanishes far out. The moment filter may have led it there where particles know
+better.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_
 from engine.estimation.wandering import clearly_likelier
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import BaseModel, Theta
-from engine.statespace.model import Array
+from engine.statespace.model import Array, MixedModel
 
 NOTHING = 2.0  # nats: what is worth less cannot be told from nothing, and stays there
 NEXT_TO = np.array([0.0, 1e-3])  # of the way from its bound, where the model may not be had
 SIZES = 10.0 ** np.arange(-2.0, 4.1, 0.5)  # of the typical one, at which it is looked for
+STRIDES = np.arange(1.0, 17.0) / 8.0  # of it, from where it stands, if it may be negative
 CLIMBS = 3  # at most, from the best of them
 NEAR = 0.1  # of its size: so near its lower bound a parameter has vanished for particles ...
 FINER = 10.0 ** np.arange(-2.0, 2.1, 0.25)  # ... which look for it at these sizes
@@ -37,12 +39,15 @@ FAILURES = (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOUGH) -> QuasiFit:
     """The fit, or a higher one with more of what has vanished in it, searched for up to ``tolerance`` (nats).
 
-    Vanished have free parameters that cannot be negative and do as much at their lower bound, as far as
-    ``NOTHING`` tells.
+    Vanished have free parameters that do as much at one of their bounds or far out, so far as ``NOTHING`` says:
+    standard deviations and variances at 0, their logarithms and precisions where nobody would look for them.
     """
     for _ in range(CLIMBS):
         try:
-            start = _more_of_it(fit, all_series)
+            theta, indices = np.asarray(fit.theta), fit.model.free_indices(fit.free)
+            model = with_scales(fit.model, all_series, theta, indices)
+            value = fit.log_likelihood
+            start = likelier_with_more(model, all_series, theta, indices, value)
             if start is None:
                 break
             found = quasi_ml(fit.model, all_series, start, fit.free, tolerance=tolerance)
@@ -54,26 +59,66 @@ def revived(fit: QuasiFit, all_series: Sequence[Series], tolerance: float = ENOU
     return fit
 
 
-def _more_of_it(fit: QuasiFit, all_series: Sequence[Series]) -> Array | None:
-    """The likeliest theta (n_theta,) with more of one that has vanished; None where none is likelier."""
-    theta, indices = np.asarray(fit.theta), fit.model.free_indices(fit.free)
-    model = with_scales(fit.model, all_series, theta, indices)
-    sizes = indices[model.lower[indices] >= 0.0]
-    value = fit.log_likelihood
-    if not sizes.size:
+def likelier_with_more(
+    model: MixedModel,
+    all_series: Sequence[Series],
+    theta: Array,
+    indices: NDArray[np.intp],
+    value: float,
+) -> Array | None:
+    """The likeliest theta (n_theta,) with more of one that has vanished; None where none is likelier.
+
+    ``value`` is the log-likelihood at theta.
+    """
+    sides = [(int(k), up) for k in indices for up in (False, True)]
+    if not sides:
         return None
-    least = model.lower[sizes, None] + NEXT_TO * (theta[sizes] - model.lower[sizes])[:, None]
-    without = log_likelihoods(model, all_series, in_turn(theta, sizes, least))
-    gone = sizes[np.abs(without.reshape(least.shape) - value).min(axis=1) <= NOTHING]
-    if not gone.size:
+    without = [without_it(model, theta, k, up) for k, up in sides]
+    values = log_likelihoods(model, all_series, _each(theta, sides, without))
+    flat = np.abs(values.reshape(len(sides), -1) - value).min(axis=1) <= NOTHING
+    gone = [side for side, yes in zip(sides, flat, strict=True) if yes]
+    if not gone:
         return None
-    scales = np.array([parameter_scale(model, theta, int(k)) for k in gone])
-    low, high = model.lower[gone, None], model.upper[gone, None]
-    more = in_turn(theta, gone, np.clip(scales[:, None] * SIZES, low, high))
+    more = _each(theta, gone, [more_of_it(model, theta, k, up) for k, up in gone])
     values = log_likelihoods(model, all_series, more)
-    if not values.max() > value:
-        return None
-    return np.asarray(more[int(np.argmax(values))])
+    return np.asarray(more[int(np.argmax(values))]) if values.max() > value else None
+
+
+def without_it(model: BaseModel, theta: Array, k: int, up: bool) -> Array:
+    """Values (2,) of parameter k at which there is next to nothing of a noise that vanishes to one side.
+
+    At a bound, beside which the model can be had where it cannot be had there; else far out.
+    """
+    bound = float(model.upper[k] if up else model.lower[k])
+    size = parameter_scale(model, theta, k) * (SIZES[-1] if up and model.lower[k] >= 0.0 else 1.0)
+    if not np.isfinite(bound):
+        bound = theta[k] + (size if up else -size)
+    return np.asarray(bound + NEXT_TO * (theta[k] - bound))
+
+
+def more_of_it(model: BaseModel, theta: Array, k: int, up: bool) -> Array:
+    """Values (n,) of parameter k at which to look for a noise that vanished to one side.
+
+    Of many sizes where it cannot be negative, as a standard deviation, or, upwards, a precision; else it may be
+    a logarithm, and they are in steps back from where it stands, and around its default.
+    """
+    p, size = model.parameters[k], parameter_scale(model, theta, k)
+    own = abs(p.default) or p.scale or size  # it may have gone anywhere
+    if p.bounds[0] < 0.0:
+        back = -STRIDES if up else STRIDES
+        values = np.concatenate([theta[k] + back * size, p.default + (STRIDES - 1.0) * 2.0 * own])
+    else:
+        values = own / SIZES**2 if up else size * SIZES
+    return np.asarray(np.clip(values, *p.bounds))
+
+
+def _each(
+    theta: Array, sides: Sequence[tuple[int, bool]], values: Sequence[Array] | Array
+) -> Array:
+    """Theta with the parameter of one side at one of its ``values``, each in turn (K, n_theta)."""
+    return np.concatenate(
+        [in_turn(theta, np.array([k]), v[None]) for (k, _), v in zip(sides, values, strict=True)]
+    )
 
 
 def revived_by_particles(
@@ -89,11 +134,17 @@ def revived_by_particles(
     """
     x = np.asarray(theta)
     points: list[Array] = []
-    for k in indices[model.lower[indices] >= 0.0].tolist():
+    for k in indices.tolist():
         size = parameter_scale(model, x, k)
-        if x[k] - model.lower[k] <= NEAR * size:
+        if model.lower[k] < 0.0:
+            for up in (False, True):
+                if _flat(model, theta, k, up, particles):
+                    points.extend(_each(x, [(k, up)], [more_of_it(model, x, k, up)]))
+        elif x[k] - model.lower[k] <= NEAR * size:
             values = np.clip(FINER * size, model.lower[k], model.upper[k])
             points.extend(free_thetas(x, np.array([k]), values[values > x[k], None]))
+        elif _flat(model, theta, k, True, particles):
+            points.extend(_each(x, [(k, True)], [more_of_it(model, x, k, True)]))
     best, highest = None, -np.inf
     for one in (Theta(point, theta.names) for point in points):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
@@ -104,3 +155,16 @@ def revived_by_particles(
         if value > highest:
             best, highest = one, value
     return best if best is not None and clearly_likelier(theta, best, particles, seed) else None
+
+
+def _flat(model: BaseModel, theta: Theta, k: int, up: bool, particles: ParticleStep) -> bool:
+    """Whether parameter k does nothing on its way to one side, by the moment filter, which costs little."""
+    moment = particles.moment
+    if moment is None:
+        return False
+    every = [
+        Theta(x, theta.names)
+        for x in _each(np.asarray(theta), [(k, up)], [without_it(model, theta, k, up)])
+    ]
+    here, *there = (sum(moment(x, one) for one in particles.all_series) for x in (theta, *every))
+    return bool((np.abs(np.array(there) - here) <= NOTHING).any())

@@ -46,6 +46,62 @@ def test_noise_of_a_wrong_model_is_not_left_at_nothing(seed, friction, offset):
     assert found.log_likelihood == pytest.approx(high.log_likelihood, abs=0.1)
 
 
+WRITTEN = {  # as what a parameter gives the standard deviation, and the other way round, from where it is gone
+    "logarithm": (np.exp, np.log, -20.0),
+    "logarithm that drifts": (np.exp, np.log, -8.0),
+    "logarithm of the variance": (lambda x: np.exp(x / 2.0), lambda s: 2.0 * np.log(s), -30.0),
+    "precision": (lambda x: x**-0.5, lambda s: s**-2.0, 1e10),
+}
+
+
+def written(how):
+    """The drive's model with its load noise written otherwise, and where that has vanished."""
+    spread, inverse, gone = WRITTEN[how]
+    lower = 0.0 if how == "precision" else -np.inf
+
+    def read(theta):
+        return theta._replace(sigma_load=spread(theta.sigma_load))
+
+    parameters = [
+        replace(p, default=float(inverse(p.default)), bounds=(lower, np.inf))
+        if p.name == "sigma_load"
+        else p
+        for p in SERVO.parameters
+    ]
+    model = replace(
+        SERVO,
+        dynamics=lambda a, u, t, dt, theta: SERVO.dynamics(a, u, t, dt, read(theta)),
+        measurement=lambda a, u, t, theta: SERVO.measurement(a, u, t, read(theta)),
+        initial=lambda theta: SERVO.initial(read(theta)),
+        parameters=parameters,
+    )
+    return model, gone
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", WRITTEN)
+def test_however_it_is_written(how):
+    series, theta = drive(4, 10.0, -3.0)
+    high = quasi_ml(SERVO, series, {**theta.asdict(), "sigma_load": 200.0}, NOISE)
+    model, gone = written(how)
+    stuck = quasi_ml(model, series, {**theta.asdict(), "sigma_load": gone}, NOISE)
+    assert stuck.log_likelihood < high.log_likelihood - 100.0
+    found = revived(stuck, [series])
+    assert found.log_likelihood == pytest.approx(high.log_likelihood, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["logarithm of the variance", "precision"])
+def test_an_estimation_without_a_search_for_a_start_ends_at_it_where_the_model_is_linear(how):
+    series, theta = drive(4, 10.0, -3.0)
+    high = quasi_ml(SERVO, series, {**theta.asdict(), "sigma_load": 200.0}, NOISE)
+    model, gone = written(how)
+    start = {**theta.asdict(), "sigma_load": gone}
+    found = engine.rbps_em(model, series, start, NOISE, warm_start=False, seed=1)
+    value = LikelihoodStep(model, [series]).of(found.theta)
+    assert value == pytest.approx(high.log_likelihood, abs=1.0)
+
+
 @pytest.mark.long
 def test_a_start_of_an_estimation_has_it_too():
     series, theta = drive(4, 10.0, -3.0)
@@ -108,6 +164,19 @@ def test_particles_find_noise_that_the_moment_filter_took_away(seed):
     assert 0.03 < found["r"] < 0.3
     likelihood = LikelihoodStep(GAIN, [series])
     assert likelihood.of(GAIN.theta(STUCK)) > likelihood.of(found)
+
+
+@pytest.mark.long
+def test_particles_find_its_logarithm():
+    model = replace(
+        GAIN,
+        measurement=lambda a, u, t, theta: ([0.0], a[:, :1, None], [[np.exp(2.0 * theta.r)]]),
+        parameters=[*GAIN.parameters[:3], engine.Parameter("r", np.log(0.1), "", (-20.0, 5.0))],
+    )
+    series, theta = gained(5, 0.2), model.theta({**STUCK, "r": np.log(STUCK["r"])})
+    particles = rbps_step(model, [series], 50, 50, moment=LikelihoodStep(model, [series]).of)
+    found = revived_by_particles(model, theta, model.free_indices(None), particles, 0)
+    assert 0.03 < np.exp(found["r"]) < 0.4
 
 
 @pytest.mark.long
