@@ -38,6 +38,7 @@ from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 from engine.ties import Ties
 
+NOTHING_FREE = "Nothing was estimated: no parameter is free."
 TOLD_SHARE = 0.01  # of rows with one particle left, that is worth a word
 
 Callback: TypeAlias = Callable[[Iteration], Any]
@@ -213,6 +214,8 @@ class _Log:
         tolerance = self.loop.tolerance
         if tolerance is None:
             return False
+        if not len(indices):
+            return self.k > 0
         if self.memory and self.memory[-1] is not None:
             return self.memory[-1].settled
         if self.k < 2 * WINDOW or any(m is not None for m in self.memory[-2 * WINDOW :]):
@@ -250,7 +253,7 @@ class _Log:
         lost = collapsed[-min(WINDOW, (self.k + 1) // 2) :].mean() if self.k else 0.0
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
             outcome = Outcome.COLLAPSED
-        message = outcome.value
+        message = outcome.value if names or not outcome.success else NOTHING_FREE
         if last is not None and last.seen.failed:
             message += f" The model cannot be had at the last iterate: {last.seen.failed}."
         if lost >= TOLD_SHARE:

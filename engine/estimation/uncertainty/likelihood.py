@@ -41,6 +41,7 @@ from engine.estimation.uncertainty.likelihood_result import LikelihoodIntervals
 from engine.estimation.uncertainty.observed import (
     Estimate,
     of_estimate,
+    said_of_drawn,
     said_of_failure,
     standard_errors,
 )
@@ -151,9 +152,9 @@ def likelihood_intervals(  # noqa: PLR0913
             continue
         spread[index] = _jackknife(at, slopes, theta[index], fall, outermost)
         spread[index, np.isin(values[index], score.bounds)] = np.nan
-    warning = " ".join(
-        filter(None, (failed, _warning(errors, maximum), _said_of_missing(errors, values)))
-    )
+    drawn = said_of_drawn("intervals", errors.drawn)
+    told = (failed, drawn, _warning(errors, maximum), _said_of_missing(errors, values))
+    warning = " ".join(filter(None, told))
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     return LikelihoodIntervals(model, theta, level, values, spread, maximum, warning)

@@ -242,6 +242,7 @@ def standard_errors(
         warning=warning,
         note="" if note in warning else note,  # the estimation that it quotes may have said so
         tied=tuple(together),
+        drawn=tuple(drawn),
     )
 
 
@@ -408,11 +409,18 @@ def _warning(
             "too much to tell."
         )
     if drawn:
-        said = (
-            f"These are no standard errors of an estimate: the likelihood rises away from the bound of "
-            f"{', '.join(drawn)}. Start inside the bounds."
-        )
+        said = said_of_drawn("standard errors", drawn)
     return said if found is None else f"{said} The estimation said: {found.message}"
+
+
+def said_of_drawn(what: str, drawn: Sequence[str]) -> str:
+    """A sentence where the likelihood draws parameters away from their bounds, "" without any."""
+    if not drawn:
+        return ""
+    return (
+        f"These are no {what} of an estimate: the likelihood rises away from the bound of {', '.join(drawn)}. "
+        "Start inside the bounds."
+    )
 
 
 def said_of_failure(found: Estimate | None) -> str:

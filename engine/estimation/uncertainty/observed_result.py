@@ -50,6 +50,8 @@ class StandardErrors:
         get wrong; else "".
     tied : tuple of str
         Parameters that the data only determine together; nothing can be said of one alone.
+    drawn : tuple of str
+        What the likelihood clearly draws away from its bound, in words; a file does not keep it.
     """
 
     model: MixedModel
@@ -64,6 +66,7 @@ class StandardErrors:
     warning: str = ""
     note: str = ""
     tied: tuple[str, ...] = ()
+    drawn: tuple[str, ...] = ()
 
     @property
     def values(self) -> Array:

@@ -159,6 +159,15 @@ def test_only_the_free_parameters_move():
     assert [name for name, m in zip(model.parameter_names, moved, strict=True) if m] == ["f", "R"]
     nothing = rbps_em(model, series, free=[], n_iterations=2, **SHORT)
     np.testing.assert_array_equal(nothing.trace, nothing.trace[[0, 0, 0]])
+    assert "Nothing was estimated" in nothing.message
+
+
+def test_where_nothing_is_free_one_iteration_does_and_says_so():
+    model = random_walk(1e-2)
+    found = rbps_em(model, Series(np.zeros(20)), free=[], n_particles=5)
+    assert len(found.log_likelihood) == 1
+    assert found.outcome.success
+    assert found.message.startswith("Nothing was estimated: no parameter is free.")
 
 
 @pytest.mark.long

@@ -197,6 +197,17 @@ def test_errors_are_not_told_as_those_of_an_estimate_there(r):
 
 
 @pytest.mark.slow
+def test_nor_are_intervals():
+    with pytest.warns(
+        engine.NotSettledWarning, match=r"no intervals of .* the bound of r \(to some 0\.1"
+    ):
+        found = engine.likelihood_intervals(
+            GAIN, {**STUCK, "r": 1e-3}, gained(5, 0.2), free=["r", "phi"], n_particles=50
+        )
+    assert "no intervals of an estimate" in found.warning
+
+
+@pytest.mark.slow
 def test_an_estimation_does_not_end_where_the_moment_filter_took_noise_away():
     series = gained(5, 0.2)
     found = engine.rbps_em(GAIN, series, STUCK, n_particles=50, seed=1, warm_start=False)
