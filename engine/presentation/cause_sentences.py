@@ -134,18 +134,19 @@ def late(cause: Cause, step: float | None, clock: str) -> str:
 def when(cause: Cause, step: float | None = None) -> str:
     """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, limits of what has one.
 
+    Of what goes on through the record, ``, over 300 s``: without it, the size of a drift could be a rate.
     Of what ends with the record in which it comes that is said, too.
     ``step`` is the time between samples, if it is the same throughout.
     """
     if cause.where != "time":
         return _limits(cause)
-    wanted = ("time", "end", "frequency")
+    told = {"time": "time", "end": "end", "frequency": "frequency", "per": "over"}
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     only = any(word == "stays" and value == 0.0 for word, _, value in own)
     return "".join(
-        f", {word} {moment(value, step, unit) if word in ('time', 'end') else with_unit(value, unit, 5)}"
+        f", {told[word]} {moment(value, step, unit) if word in ('time', 'end') else with_unit(value, unit, 5)}"
         for word, name, value in own
-        if word in wanted
+        if word in told
         for unit in (cause.units.get(name, ""),)
     ) + (", in the record of that time only" if only else "")
 

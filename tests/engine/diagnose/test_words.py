@@ -333,6 +333,15 @@ def test_what_the_data_say_of_others_is_no_more_than_they_do():
     ]  # fmt: skip
 
 
+def test_a_headline_says_over_what_time_a_drift_has_its_size():
+    values = {"drift_air": 0.5, "drift_air_middle": 100.0, "drift_air_per": 199.5}
+    found = replace(cause(("drift:air",)), where="time", unit="K", parameters=values)
+    found = replace(found, units={"drift_air_middle": "min", "drift_air_per": "min"})
+    assert "1 +- 0.1 K, over 199.5 min, p = 0.01" in headline(
+        found
+    )  # once like a rate in other units
+
+
 def test_a_headline_says_at_which_limit_a_signal_saturates():
     values = {"clip_heating": 1.0, "clip_heating_limit": 5.03, "clip_heating_side": 1.0}
     found = replace(cause(("linear:air",)), parameters=values, units={"clip_heating_limit": "kW"})
