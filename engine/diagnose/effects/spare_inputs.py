@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from engine.errors import SeriesError
+from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel
 
 UNIT = "1"  # of a channel about which nothing but its name is known
@@ -28,11 +29,14 @@ def with_inputs(model: MixedModel, names: Sequence[str]) -> MixedModel:
         return model
     own = model.nu
 
+    # by what is known of the model's own functions: as written they may take one row a call, and no tape
+    @hands_rows_on
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-        return model.dynamics(a, u[:own], t, dt, theta)
+        return model.transition(a, u[:own], t, dt, theta)
 
+    @hands_rows_on
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        return model.measurement(a, u[:own], t, theta)
+        return model.observation(a, u[:own], t, theta)
 
     return replace(
         model,
