@@ -109,11 +109,11 @@ def moved_by(model: MixedModel, theta: Array, points: Points, parameter: str) ->
 
 
 def slopes_by(
-    model: MixedModel, theta: Array, points: Points, parameter: str
+    model: MixedModel, theta: Array, points: Points, parameter: str, share: float = SHORTER
 ) -> tuple[Array, Array]:
     """What a parameter does to the next states (n, nx) and to the readings (n, ny) at each point.
 
-    Of the step so small a part that it is no more than what it does at once.
+    Of the step a ``share``: by default so small a part that it is no more than what it does at once.
     """
     index = model.index(parameter)
     other = np.array(theta, dtype=float)
@@ -122,7 +122,7 @@ def slopes_by(
         moved = np.clip(theta[index] + away, *model.parameters[index].bounds)
         if abs(moved - theta[index]) > abs(other[index] - theta[index]):
             other[index] = moved
-    short = replace(points, dt=SHORTER * points.dt)
+    short = replace(points, dt=share * points.dt)
     states, readings = [], []
     for k in range(len(points.t)):
         x, u, t = points.x[k][None], points.u[k], float(points.t[k])

@@ -173,6 +173,42 @@ def test_what_is_one_product_a_square_or_a_coupling_has_that_name_alone():
         assert "product:position*warmth->speed" in names
 
 
+@pytest.mark.parametrize(("taken_along", "asked"), [(0.5, True), (0.0, False)])
+def test_a_product_that_misses_the_way_within_a_whole_step_has_that_name_beside_it(
+    taken_along, asked
+):
+    """A brake that fades with speed, of a model not stepped more finely: it was a drag that brakes lessen."""
+
+    def dynamics(a, u, t, dt, theta):
+        push = dt * (theta.traction * u[1] - theta.brake * u[0] - theta.air * a[:, 0] ** 2)
+        return (
+            [a[:, 0] + push, dt * (a[:, 0] + taken_along * push)],
+            [[0.0], [1.0]],
+            np.diag([0.02 * dt, 1e-4]),
+        )
+
+    train = engine.MixedModel(
+        name="train",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0], 0.0], [[0.0], [1.0]], np.diag([0.1, 0.3])),
+        initial=lambda theta: (engine.Gaussian([20.0], [[1.0]]), [0.0], [[1.0]]),
+        nonlinear={"speed": "m/s"},
+        linear={"way": "m"},
+        inputs={"brake": "bar", "traction": "kN"},
+        outputs={"radar": "m/s", "odometer": "m"},
+        kinematic=("way",),
+        parameters=[own("brake", 0.5), own("traction", 0.012), own("air", 5e-4)],
+    )
+    rng = np.random.default_rng(2)
+    u = np.column_stack([levels(rng, 90, 0.0, 1.0, 9), levels(rng, 90, 20.0, 90.0, 9)])
+    series = engine.simulate(train, None, 90, rng, u=u, dt=1.0).series
+    effects = all_effects(setting_of(train, series), ["parameter-slope", "product"])
+    names = {e.name for e in effects if e.family == "state"}
+    assert "product:speed*brake->speed" in names
+    assert ("parameter-slope:speed->brake" in names) == asked
+    assert "parameter-slope:speed->air" not in names  # another curve of the speed
+
+
 def test_any_parameter_of_a_reading_is_asked_on_any_state_that_moves():
     setting = setting_of(WINDING, warm(0.0, 1, 60))
     effects = [e for e in all_effects(setting, ["parameter-slope"]) if e.family == "state"]

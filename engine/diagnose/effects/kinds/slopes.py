@@ -13,7 +13,7 @@ from engine.diagnose.effects.channels import Kind
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.parameters import ONTO, running_parameter, unit_of
-from engine.diagnose.effects.rates import Points, slopes_by
+from engine.diagnose.effects.rates import ROUNDING_SHARE, Points, slopes_by
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import ANY, Traits
 from engine.errors import EngineError
@@ -136,10 +136,14 @@ def _each_slope(setting: Setting) -> Iterator[str]:
     for target in setting.steering:
         yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
     for target in setting.steering:
-        if weighed_by(setting, target) is None:
-            for source in setting.moved:
-                if not setting.once(_bends, target, source):
-                    yield f"{source}{ONTO}{target}"
+        weighed, _ = weighed_by(setting, target) or (None, "")
+        for source in setting.moved:
+            if weighed is None:
+                asked = not setting.once(_bends, target, source)
+            else:  # a product, which is added after a step that no other follows within the sample
+                asked = weighed not in ("", source) and setting.once(_reaches_further, target)
+            if asked:
+                yield f"{source}{ONTO}{target}"
 
 
 def weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
@@ -207,6 +211,22 @@ def _bends(setting: Setting, parameter: str, source: str) -> bool:
 def _slopes(setting: Setting, parameter: str) -> tuple[Array, Array]:
     points, theta = setting.points(setting.model)
     return slopes_by(setting.model, theta, points, parameter)
+
+
+def _reaches_further(setting: Setting, parameter: str) -> bool:
+    """Whether a parameter moves several states within a whole step, of a model that is not stepped more finely.
+
+    As a brake does a speed, and half a step's way: what is added to the speed after the step does not.
+    """
+    if setting.model.continuous:
+        return False
+    points, theta = setting.points(setting.model)
+    try:
+        moves, _ = slopes_by(setting.model, theta, points, parameter, 1.0)
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+    felt = np.abs(moves / points.scale).max(axis=0)
+    return bool(np.count_nonzero(felt > ROUNDING_SHARE * felt.max()) > 1)
 
 
 def _moved_most(moves: Array, points: Points) -> NDArray[np.intp]:
