@@ -35,7 +35,7 @@ POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
 PATCHES = 2  # effects in turn that are trusted; more stand for something else
 LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
-SHOWN = 5  # look-alikes listed at most
+SHOWN = 5  # look-alikes listed, or all that are not ruled out where these are more
 NEAREST = 3  # effects listed as what something more may be
 RULED_OUT = 6.0  # of 2 x log-likelihood less costs: 20 times as likely; with less none is ruled out
 
@@ -226,13 +226,17 @@ def cause_of(found: Round, final: QuasiFit | None = None) -> Cause:
 
 
 def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
-    """Effects with a similar footprint, or refitted with a similar gain."""
+    """Effects with a similar footprint, or refitted with a similar gain.
+
+    First all that the data leave open, the likeliest first: what has more parameters gains more than a plainer
+    one that is likelier. Then as many that are ruled out, or were not followed, as make SHOWN.
+    """
     names = [s.effect.name for s in found.screen.scores]
     place = names.index(best.effect.name) if best.effect.name in names else None
     refits = {r.effect.name: r for r in found.refits}
     against = [r.effect.name for r in found.contradicted]
     near = [r for r in found.refits if r.score >= best.score - MARGIN]
-    out = []
+    out: list[tuple[bool, float, LookAlike]] = []
     for i, score in enumerate(found.screen.scores):
         other = score.effect
         if other.name == best.effect.name or score.statistic <= 0.0:
@@ -264,11 +268,13 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
             more = further_parameters(other) - further_parameters(best.effect)
             if more > 0:
                 difference += f", and has {more} parameter{'s' * (more > 1)} more"
-        out.append(
-            LookAlike(other.name, likeness, refit.gain if refit else None, ruled_out, difference)
-        )
-    out.sort(key=lambda x: -(x.gain if x.gain is not None else 10.0 * x.likeness))
-    return tuple(out[:SHOWN])
+        gain = refit.gain if refit else None
+        is_open = refit is not None and followed and not ruled_out
+        known = 10.0 * likeness if refit is None else refit.score if is_open else refit.gain
+        out.append((is_open, known, LookAlike(other.name, likeness, gain, ruled_out, difference)))
+    out.sort(key=lambda one: one[:2], reverse=True)
+    most = max(SHOWN, sum(is_open for is_open, *_ in out))
+    return tuple(one for *_, one in out[:most])
 
 
 def detectable_of(seen: Screen, refitted: Sequence[Refit] = ()) -> tuple[Detectable, ...]:

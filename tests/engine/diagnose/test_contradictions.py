@@ -168,6 +168,34 @@ def test_a_contradiction_makes_the_verdict_unknown(monkeypatch):
     assert "No gain." in doubted.notes
 
 
+def test_a_plainer_name_that_is_not_ruled_out_is_listed_however_much_others_gain():
+    """A drift was the truth, and not on the list: steps with a time to choose gain more, and cost more."""
+    setting = Setting(DRIVE)
+    gains = {
+        "step:reading": (46.5, 40.0), "episode:reading": (52.0, 39.0), "step:speed": (45.9, 39.4),
+        "episode:speed": (52.0, 38.9), "pulse:reading": (45.0, 38.5), "pulse:speed": (44.0, 37.5),
+        "cubic:speed": (20.0, 20.0), "drift:reading": (37.4, 37.4),
+    }  # fmt: skip
+    effects = [make_effect(name, setting) for name in gains]
+    scores = tuple(SimpleNamespace(effect=e, statistic=30.0) for e in effects)
+    refits = [
+        SimpleNamespace(effect=e, gain=gain, score=score, fit=SimpleNamespace(given_up=False))
+        for e, (gain, score) in zip(effects, gains.values(), strict=True)
+    ]
+    one = SimpleNamespace(
+        screen=SimpleNamespace(scores=scores, likeness=lambda i, j: 0.9),
+        refits=tuple(refits), equivalent=(refits[0],), generic=None, contradicted=(),
+    )  # fmt: skip
+    told = _look_alikes(one, refits[0])
+    assert {x.effect for x in told} == {*gains} - {"step:reading", "cubic:speed"}
+    assert not any(x.ruled_out for x in told)
+    assert told[0].effect == "step:speed"  # the likeliest
+    refits[1].score = refits[1].gain = (
+        25.0  # and of those that are ruled out only as many as before
+    )
+    assert "episode:reading" not in {x.effect for x in _look_alikes(one, refits[0])}
+
+
 def test_only_a_refit_that_has_ended_can_be_ruled_out():
     setting = Setting(DRIVE)
     kinds = ["drag:speed", "cubic:speed", "coulomb:speed"]
