@@ -99,6 +99,7 @@ __all__ = [
 ]
 
 LEAST_ALPHA = 0.005  # thousands of series and draws
+REASONS = 2  # why names are not trusted, told beside the verdict; all of them are among the notes
 
 
 @single_threaded
@@ -340,6 +341,7 @@ def diagnose(  # noqa: PLR0913
         detectable=detectable_of(found.rounds[0].screen, found.rounds[0].refits),
         search=judged.search,
         notes=tuple(notes),
+        why=judged.why[:REASONS] if judged.verdict is Verdict.UNKNOWN else (),
         seconds=clock.seconds,
         series=records.main,
         records=1 + len(records.others),

@@ -111,6 +111,8 @@ class Diagnosis(Shown):
         Where nothing was found: an event that the screen sees in the rows held out, which were not searched.
     by_record : str
         Where several records have parameters of their own, a sentence that says which; "" where none is seen.
+    why : tuple of str
+        Of a verdict that is ``unknown``: why what was found is not trusted, the first of these notes.
     asked : Asked or None
         The arguments and the finished parts, by which :func:`engine.save` keeps the diagnosis.
     """
@@ -141,6 +143,7 @@ class Diagnosis(Shown):
     p_bootstrap_at_floor: bool = False
     unsearched: Unsearched | None = None
     by_record: str = ""
+    why: tuple[str, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot
         if self.asked is None:

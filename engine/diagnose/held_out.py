@@ -68,7 +68,7 @@ class Judged:
     """The answer after held-out data were asked: verdict, causes, fits ``before`` and ``after`` extending.
 
     Their noise is that of all records where the ``gain`` says so. ``search`` is the likelihood's, without
-    members of a set that were contradicted; ``notes`` say what was.
+    members of a set that were contradicted; ``notes`` say what was, and ``why`` no name is trusted.
     """
 
     verdict: Verdict
@@ -80,6 +80,7 @@ class Judged:
     free_run: SecondOpinion
     notes: tuple[str, ...] = ()
     by_record: str = ""
+    why: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +127,9 @@ class HeldOut:
         before, after = (log_likelihood_of(one, self.searched) for one in both)
         extended = bool(judged.causes) and judged.after is not judged.before
         notes = (missed_in_words(missed, after - before, extended), *judged.notes)
-        doubted = judged.verdict in NAMES and missed > after - before
-        return replace(judged, verdict=Verdict.UNKNOWN if doubted else judged.verdict, notes=notes)
+        if judged.verdict not in NAMES or not missed > after - before:
+            return replace(judged, notes=notes)
+        return replace(judged, verdict=Verdict.UNKNOWN, notes=notes, why=notes[:1])
 
     def _heeding_records(self, judged: Judged) -> Judged:
         """The same where the records have one set of parameters; else with a note, and maybe no names."""
@@ -174,23 +176,27 @@ class HeldOut:
         self, found: Causes, verdict: Verdict, asked: SecondOpinion, progress: Progress
     ) -> Judged:
         search, notes = found.search, list[str]()
+        why = [asked.reason] if asked.refutes else []
+        why += found.why if verdict is Verdict.UNKNOWN else ()
         if verdict in NAMES:
             left = narrowed(search, self._asked, partial(self._settled, found.setting), progress)
             search, gain = left.search, left.gain
             notes.extend(filter(None, (left.note, left.objection)))
             if left.objection or left.note:
                 verdict = Verdict.UNKNOWN if left.objection else names_of(search)
+            why += filter(None, [left.objection])
         else:
             gain = self._gain(search)
         extended = bool(named_by(search)) and search.final is not search.base
         if extended and found.base.model.na:
             text, contradicts = self._particle_word(found.base, search)
             notes.append(text)
+            why += [text] if contradicts else []
             verdict = Verdict.UNKNOWN if contradicts else verdict
         own = (search.base, search.final)
         before, after = own if gain is None or gain.fits is None else gain.fits
         causes, said = named_by(search), tuple(notes)
-        return Judged(verdict, causes, before, after, gain, search, asked, said)
+        return Judged(verdict, causes, before, after, gain, search, asked, said, why=tuple(why))
 
     def _settled(self, setting: Setting, found: Round, refits: Sequence[Refit]) -> Round:
         """A round of these refits alone."""

@@ -90,6 +90,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "rounds": [_round(found) for found in d.rounds],
         "faults": list(d.faults),
         "stopped": list(d.stopped),
+        "why": list(d.why),
         "unsearched": d.unsearched and {**asdict(d.unsearched), "sentence": d.unsearched.sentence},
         "by_record": d.by_record,
         "notes": list(d.notes),

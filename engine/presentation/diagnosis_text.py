@@ -86,6 +86,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(d.by_record, "  ")
     elif d.verdict.value == "unknown" and (known := _known(d)):
         yield from _wrapped(known, "  ")
+    for said in d.why if d.causes else ():
+        yield from _wrapped(said, "  ")
     for k, cause in enumerate(d.causes):
         closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
         yield from _wrapped(f"{closest}{_marker(d, k)}{_headline(d, cause)}", "  ")

@@ -37,7 +37,10 @@ ENOUGH = 4
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A search, its first round as wide as its steps allow, what it comes to, and why."""
+    """A search, its first round as wide as its steps allow, and what it comes to.
+
+    ``why`` are those of the ``notes`` that say why no name is trusted.
+    """
 
     search: Search
     verdict: Verdict
@@ -45,6 +48,7 @@ class Judged:
     coarse: bool
     another_shape: bool
     refuted: tuple[str, ...]
+    why: tuple[str, ...] = ()
 
 
 def judged(
@@ -75,7 +79,8 @@ def judged(
     verdict = verdict_of(found, alpha)
     if unnamed and verdict in NAMES:
         verdict = Verdict.UNKNOWN
-    notes.extend(doubts(found, alpha))
+    why = doubts(found, alpha)
+    notes.extend(why)
     if found.of_the_steps:
         notes.append(
             f"Beside what was found, {found.of_the_steps} seemed to be seen. Most of it is gone with steps of "
@@ -90,10 +95,11 @@ def judged(
     if found.as_well:
         explain = "together explain" if len(found.as_well) > 1 else "explains"
         are = "are other causes" if len(found.as_well) > 1 else "is another cause"
-        notes.append(
+        why.append(
             f"{enumerated(list(found.as_well))} {explain} the data as well as what was found, and {are}: these "
             "data do not tell which it is."
         )
+        notes.append(why[-1])
         verdict = Verdict.UNKNOWN
     named = [r for r in found.rounds if r.equivalent]
     own_terms = already_there(named)
@@ -106,10 +112,12 @@ def judged(
     notes.extend(as_open(named, base))
     if against:
         notes.extend(against)
+        why.extend(against)
         verdict = Verdict.UNKNOWN
     noises = [r.refits[0].effect.name for r in named if r.refits[0].effect.family == "noise"]
     if noises and verdict in NAMES and (told := dependent_rows(found.final, series, noises, seed)):
         notes.append(told)
+        why.append(told)
         verdict = Verdict.UNKNOWN
     # beside an error of the steps every shape is in doubt
     doubted = verdict not in NAMES or read or bool(found.of_the_steps)
@@ -119,17 +127,20 @@ def judged(
         shape = None
     if shape is not None:
         notes.append(shape.sentence)
+        why.append(shape.sentence)
         verdict = Verdict.UNKNOWN
     level = misfit(found.final, series, outliers=has_tails(found))
     if level > MISFIT:
-        notes.append(
+        why.append(
             f"One-step errors are {_times(np.sqrt(level))} what the model's noise allows, after "
             "everything that was found: the model is far from these data, or badly started (theta=)."
         )
+        notes.append(why[-1])
         verdict = Verdict.UNKNOWN
     # what shows only beside a term of the model acts elsewhere than its name says
     refuted = tuple(r.refits[0].effect.name for r in named) if own_terms else ()
-    return Judged(found, verdict, tuple(notes), worth > 0.0, shape is not None, refuted)
+    left = tuple(why) if verdict is Verdict.UNKNOWN else ()
+    return Judged(found, verdict, tuple(notes), worth > 0.0, shape is not None, refuted, left)
 
 
 def _widened(found: Search, series: Series, setting: Setting, kept: Kept) -> tuple[Search, float]:

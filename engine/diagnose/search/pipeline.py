@@ -54,7 +54,7 @@ class Causes:
     The sizes of what was named need so many ``steps`` a sample. ``coarse`` where the error of the steps may
     decide between names; ``kinds`` of effects that were looked for, None for all. ``another_shape`` where names
     were found whose shape is not what the states show; ``misread`` where the record read otherwise explains
-    more; ``refuted`` names that something else contradicts.
+    more; ``refuted`` names that something else contradicts; ``why`` no name is trusted, in sentences.
     """
 
     base: QuasiFit
@@ -68,6 +68,7 @@ class Causes:
     another_shape: bool = False
     misread: bool = False
     refuted: tuple[str, ...] = ()
+    why: tuple[str, ...] = ()
 
 
 def find_causes(  # noqa: PLR0913
@@ -179,6 +180,11 @@ def find_causes(  # noqa: PLR0913
         said.another_shape,
         bool(told),
         said.refuted,
+        (
+            *([aside.note] if aside is not None and unnamed else []),
+            *filter(None, [told]),
+            *said.why,
+        ),
     )
 
 

@@ -36,7 +36,8 @@ def verdict(d: Document) -> Html:
         near = [
             ("" if k else "Nearest names: ", _headline(one)) for k, one in enumerate(d["causes"])
         ]
-        names = [tag("p", d["sentence"]), *(tag("p", *one, class_="hint") for one in near)]
+        why = [tag("p", prose(one)) for one in d.get("why", ()) if near]
+        names = [tag("p", d["sentence"]), *why, *(tag("p", *one, class_="hint") for one in near)]
     if not names:
         testable = [x["testable"] for x in d["detectable"]]
         names = [tag("p", looked_for(p_value(d), testable))]

@@ -198,6 +198,7 @@ def test_where_nothing_else_is_asked_for_no_cause_is_named():
     found = engine.diagnose(TANK, record(3, closed=True), effects=["direct"])
     assert found.verdict.value == "unknown"
     assert "closed loop" in " ".join(found.notes)
+    assert "closed loop" in found.why[0]
     assert found.gain is None or not found.gain.adopt
 
 

@@ -166,6 +166,7 @@ def test_a_contradiction_makes_the_verdict_unknown(monkeypatch):
     doubted = engine.diagnose(DRIVE, series, **asked)
     assert doubted.verdict.value == "unknown"
     assert "No gain." in doubted.notes
+    assert doubted.why == ("No gain.",)
 
 
 def test_a_plainer_name_that_is_not_ruled_out_is_listed_however_much_others_gain():

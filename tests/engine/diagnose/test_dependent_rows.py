@@ -72,8 +72,12 @@ def test_a_filter_that_makes_errors_depend_on_each_other_is_no_evidence(monkeypa
 
 @pytest.mark.long
 @pytest.mark.parametrize(("series", "kind"), [(weekly(), "heavy-tails"), (growing(), "variance")])
-def test_no_name_of_noise_is_said_where_rows_depend_on_each_other(series, kind):
+def test_no_name_of_noise_is_said_where_rows_depend_on_each_other(series, kind, tmp_path):
     found = diagnose(LEVEL, series, effects=["variance", "heavy-tails", "level"], held_out=0.0)
     assert found.verdict is Verdict.UNKNOWN
     assert [cause.effect.split(":")[0] for cause in found.causes] == [kind]
     assert any("depend on those of earlier rows" in note for note in found.notes)
+    head = str(found).partition("1. What is wrong")[0]
+    assert "depend on those of earlier rows" in " ".join(head.split())  # why it is unknown
+    page = found.report(tmp_path / "page.html").read_text()
+    assert page.count("depend on those of earlier rows") == 2
