@@ -209,7 +209,7 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
             drawn.append(rng.random(n))
         else:
             # data and draws go by the same rule, so that its error is in both
-            p_values = tail_of.p_values(np.append(found.max(), draws), draws)
+            p_values = tail_of.p_values(found.max(), draws)
             observed.append(float(p_values[0]))
             drawn.append(p_values[1:])
     lowest = np.min(drawn, axis=0)
@@ -271,9 +271,10 @@ class _Tail:
     edge: float = 0.0
     excess: float = np.inf
 
-    def p_values(self, values: Array, draws: Array) -> Array:
-        """p (n,) of values (n,): by the draws above them where these are many, else by the tail."""
-        if np.isfinite(self.excess):
+    def p_values(self, value: float, draws: Array) -> Array:
+        """p (1 + n,) of a value and of the draws: by the draws above where these are many, else by the tail."""
+        values, heavy = np.append(value, draws), np.isfinite(self.excess)
+        if heavy:
             by_tail = beyond(values, self.edge, self.excess)
         else:
             by_tail = np.minimum(1.0, self.tests * chi2_sf(values, self.degrees))
@@ -281,8 +282,10 @@ class _Tail:
             return np.asarray(by_tail)
         above = len(draws) - np.searchsorted(np.sort(draws), values)
         by_count = (1.0 + above) / (len(draws) + 1.0)
-        least = np.where(above > 0, above / (len(draws) + 1.0), 0.0)
-        return np.where(above >= self.counted, by_count, np.maximum(by_tail, least))
+        if heavy:  # and no less than the share of other draws above: few signs make few values
+            others = above - np.append(0, np.ones(len(draws)))
+            by_tail = np.maximum(by_tail, others / (len(draws) + 1.0))
+        return np.where(above >= self.counted, by_count, by_tail)
 
 
 def beyond(values: Array, edge: Array | float, excess: Array | float) -> Array:
