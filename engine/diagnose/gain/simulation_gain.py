@@ -153,7 +153,8 @@ def bootstrap_means(values: Array, rng: np.random.Generator, n: int = BOOTSTRAPS
     d = values[-1] - values[0] if len(values) > 1 else values[0]
     if not np.ptp(d) > 0.0:
         d = values[0]
-    d = d - d.mean()
+    d = d / (np.abs(d).max() or 1.0)  # squares of a run that all but runs away have no squares
+    d -= d.mean()
     spectrum = np.abs(np.fft.rfft(d, 2 * T)) ** 2
     r = np.fft.irfft(spectrum)[: max(T // 2, 1)]
     below = np.flatnonzero(r < 0.2 * r[0])

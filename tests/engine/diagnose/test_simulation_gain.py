@@ -10,7 +10,7 @@ import engine
 from engine import Series
 from engine.diagnose.gain.adoption import runs_changed
 from engine.diagnose.gain.gain import measure_gain
-from engine.diagnose.gain.simulation_gain import output_gains
+from engine.diagnose.gain.simulation_gain import bootstrap_means, output_gains
 from engine.estimation.quasi_ml import quasi_ml
 
 T = 1000
@@ -139,3 +139,9 @@ def test_excursions_that_dwarf_both_runs_excuse_neither():
     near = 0.2 * rng.standard_normal((200, 80, 1))  # where the run before was
     (one,) = output_gains(base, part, rows, before, after, np.ones(1), 0, lambda: near)
     assert one.as_worse > 0.05
+
+
+def test_resampled_means_of_a_run_that_all_but_runs_away_are_those_in_other_units():
+    values = np.exp(np.random.default_rng(1).standard_normal((2, 60)))
+    usual, large = (bootstrap_means(k * values, np.random.default_rng(2)) for k in (1.0, 1e250))
+    np.testing.assert_allclose(large, 1e250 * usual, rtol=1e-12)
