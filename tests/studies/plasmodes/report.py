@@ -26,7 +26,12 @@ imitate all but {100 * IMITATED:g} % counts as clean; one that does not reach it
 makes sense is left out. After seed 6 was seen, outliers are put among the readings that are searched (some
 records had one of them there), and a wave of a free level counts as one of its readings. After seed 7, of four
 kinds of effects, noisy records also take one reading alone, noise that grows and a gain that changes; the shape
-of that noise was chosen on seed 108. Judged on seed 8.
+of that noise was chosen on seed 108. Seed 8 was then right in 95 % (145 of 152), eleven kinds of effects with
+those of the Bouc-Wen beam; its 13 runs take two hours and were not made since.
+
+Later code named 46 of 63 of the Nile right on seed 9: outliers were lost beside a date that lies on a row,
+noise that grows was taken for few outlying rows, and waves for what a first reading gains that is met exactly.
+All three were repaired after seed 9 was seen. Judged on seed 10.
 
 *Right*: named, or a set of nothing but words for it, and nothing else. Words for it have |cos| of footprints
 above {SAME:g} with it in the first screen of these data. *Wrong*: named, and not right. *In set*: the truth is
