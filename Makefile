@@ -52,7 +52,7 @@ measured: setup
 # Effects of known size put into measured records.
 plasmodes: setup
 	$(BIN)/python -m tests.studies.plasmodes.windows
-	$(BIN)/python -m tests.studies plasmodes
+	$(BIN)/python -m tests.studies plasmodes --seed 10
 
 bench: setup
 	$(BIN)/python -m tests.benchmarks.bench_em
