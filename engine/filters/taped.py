@@ -117,4 +117,5 @@ def _on_tape(run: FilterSteps, function: Any, call: Any, u: Array, a: Array) -> 
     # inputs of one kind, whoever made them: a kernel is compiled for each
     rows = np.array(u, dtype=float, order="C"), np.array(run.times), np.array([*run.steps, 0.0])
     record = run.model.record(run.thetas.thetas[0])
-    return on_tape(function, partial(call, run), rows, a, run.thetas.thetas, record)
+    differences = run.model.continuous
+    return on_tape(function, partial(call, run), rows, a, run.thetas.thetas, record, differences)

@@ -34,7 +34,8 @@ def run_by_tape(
         return f, stacked(A), stacked(Q)
 
     rows = inputs, np.array(times), np.array([*steps, 0.0])
-    moving = on_tape(model.transitions, call, rows, x1[:, :na], thetas, theta)
+    first = x1[:, :na]
+    moving = on_tape(model.transitions, call, rows, first, thetas, theta, model.continuous)
     if moving is None or not moving.begins_well(x1[:, :na]):
         return None
     X = np.empty((T, K, model.nx))

@@ -70,7 +70,8 @@ _KEPT: WeakKeyDictionary[ModelFunction, _Kept] = WeakKeyDictionary()
 class OnTape:
     """A model's function on tape, for some rows; its ``call``, and inputs, times and steps of a record.
 
-    ``moves``: it is the dynamics, whose first result are the states of the next row.
+    ``moves``: it is the dynamics, whose first result are the states of the next row. ``differences``: a call
+    may take its slopes by the states from differences, as a step of differential equations does.
     """
 
     kept: _Kept
@@ -81,6 +82,7 @@ class OnTape:
     dt: Array
     shapes: Sequence[tuple[int, ...]]
     moves: bool
+    differences: bool
 
     @property
     def results(self) -> tuple[Array, ...]:
@@ -112,7 +114,7 @@ class OnTape:
         least = [np.zeros(shape) for shape in self.shapes]
         if self.moves:
             least[0][: a.shape[1]] = np.abs(a[there]).max(axis=0, initial=0.0)
-        of_slopes = max(share, SLOPES) if self.moves else share
+        of_slopes = max(share, SLOPES) if self.differences else share
         shares = share, of_slopes, of_slopes
         both = zip(self.results, self.call(t, a), least, shares, strict=True)
         if not all(_same(taped, called, there, own, of) for taped, called, own, of in both):
@@ -125,7 +127,7 @@ class OnTape:
         A record often starts at rest, where a call's differences over small ways are little more than rounding.
         """
         known = self.kept.passes >= self.kept.known
-        return known or self.agrees(0, a, AT_REST if self.moves else SAME)
+        return known or self.agrees(0, a, AT_REST if self.differences else SAME)
 
     def note(self, done: bool) -> None:
         """Note whether it was gone through to the end; it is taken no more where most records leave it."""
@@ -159,12 +161,13 @@ def on_tape(
     a: Array,
     thetas: Array,
     theta: Any,
+    differences: bool,
 ) -> OnTape | None:
     """A function at states such as a (K S, na), S rows for each of ``thetas`` (K, n); recorded the first time.
 
     ``record`` are its inputs (T, nu), the times (T,) and steps (T,) of a series, the last of no meaning;
-    ``call(t, a)`` calls it at row t, and ``theta`` is a record of the first parameters. None where it must be
-    called.
+    ``call(t, a)`` calls it at row t, and ``theta`` is a record of the first parameters; ``differences`` as
+    :class:`OnTape` has it. None where it must be called.
     """
     u, t, dt = record
     kept, copies = _KEPT.setdefault(function, _Kept()), len(a) // len(thetas)
@@ -184,4 +187,5 @@ def on_tape(
         return None
     if lines.columns.size:
         u = np.array(np.concatenate([u, lines.columns], axis=1), order="C")
-    return OnTape(kept, lines, call, u, t, dt, function.shapes, function.name == "dynamics")
+    moves = function.name == "dynamics"
+    return OnTape(kept, lines, call, u, t, dt, function.shapes, moves, differences and moves)

@@ -439,3 +439,19 @@ def test_a_filter_that_is_lost_is_lost_on_tape_too():
     found = moment_filter(model, thetas, series_for(model, 1)).log_likelihood
     assert np.isfinite(found[0])
     assert found[1] == -np.inf
+
+
+@pytest.mark.parametrize("off", [1e-6, 1e-4, 1e-2])
+@pytest.mark.parametrize("differential", [False, True])
+def test_a_step_of_differential_equations_may_differ_from_its_tape_by_what_differences_round(
+    differential, off
+):
+    """In a first row, which may be at rest. Of other models nothing is a difference."""
+    discrete = level(lambda a, u, t, dt, th: (th.k * a, np.zeros((1, 0)), [[0.01]]))
+    model = pendulum() if differential else discrete
+    run = FilterSteps(model, Thetas(model, thetas_of(model, 1)[:1]), series_for(model, 1))
+    a = np.full((1, model.na), 0.2)
+    own = moving_on_tape(run, a)
+    right = own.call
+    own.call = lambda t, a: tuple(x * (1.0 + off) for x in right(t, a))
+    assert own.begins_well(a) is (differential and off < 1e-3)
