@@ -55,7 +55,8 @@ class Along:
                 size = np.tile(size, (len(x), 1))
                 J = self.F.slopes(x[:-1], self.ahead, size[:-1], central=True)
                 slopes = J, self.G.slopes(x, self.seen, size, central=True)
-        self.J, self.H = slopes
+        # in rows, whatever order a model's arrays have: a kernel is compiled for one order
+        self.J, self.H = (np.ascontiguousarray(one) for one in slopes)
 
     @cached_property
     def F(self) -> Steps:

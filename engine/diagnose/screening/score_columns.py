@@ -195,7 +195,8 @@ def _slopes(
         if factor > 1.0 and step * factor > 0.5 * (upper - lower):
             break
         step *= float(np.clip(factor, 1e-8, 1e8))
-    return [change / (high[k] - low[k]) for change in changes]
+    # in rows, whatever order a model's arrays have: a kernel is compiled for one order
+    return [np.ascontiguousarray(change / (high[k] - low[k])) for change in changes]
 
 
 def _scatter(path: MomentPath) -> list[Array]:

@@ -7,7 +7,8 @@ where several effects were found, or noise alone, the rivals of the first round 
 
 A drift is weighed there as a straight line, and its bend is looked for once it is found. What settles, as a
 drive that warms up, then loses to an effect with a memory, whose first state fades as well. So drifts that were
-behind are tried as the first beside any other name.
+behind are tried as the first beside any other name, where they may come out ahead with their bend alone: what
+was named would show beside them once more, and promises nothing.
 """
 
 from __future__ import annotations
@@ -22,8 +23,7 @@ from engine.diagnose.effects.kinds.bend import DRIFTS
 from engine.diagnose.judging.verdict import counted
 from engine.diagnose.refits.found import Search, size_cost
 from engine.diagnose.refits.refitted import Refit
-from engine.diagnose.refits.rounds import FORESEEN, MARGIN, Round
-from engine.diagnose.screening.screen import Screen
+from engine.diagnose.refits.rounds import MARGIN, Round
 
 OTHERS = 3  # rivals that are tried as the first
 
@@ -40,10 +40,15 @@ def may_begin_otherwise(found: Search, begun: Round) -> bool:
 def _rivals(found: Search, begun: Round) -> list[Refit]:
     """What may be the first instead: where one effect was found that is no noise, a drift only."""
     rivals = [one for one in begun.refits if one.effect.name not in _names(found)]
-    if len(found.named) > 1 or _is_noise(found):
+    if _may_hold(found):
         return rivals
     drifts = [one for one in rivals if one.effect.kind in DRIFTS]
     return [] if any(one.effect.kind in DRIFTS for one in found.named) else drifts
+
+
+def _may_hold(found: Search) -> bool:
+    """Whether several effects were found, or noise."""
+    return len(found.named) > 1 or _is_noise(found)
 
 
 def _names(found: Search) -> set[str]:
@@ -59,14 +64,14 @@ def best_beginning(
     found: Search,
     begun: Round,
     series: Series,
-    beside: Callable[[Refit], Screen],
+    beside: Callable[[Refit, bool], float],
     other: Callable[[Round, bool], Search],
 ) -> Search:
     """The search, or a better one that begins with another of the refits of its first round, ``begun``.
 
-    ``beside`` screens what is left beside a refit. The one that promises most is gone on with, by ``other``,
-    if it may come out ahead: at first without simulations, which only ever find less. One that comes out even
-    is told, unless the two share an effect.
+    ``beside`` is the largest gain beside a refit: of all that has a name, as foreseen, or of its bend alone.
+    The one that promises most is gone on with, by ``other``, if it may come out ahead: at first without
+    simulations, which only ever find less. One that comes out even is told, unless the two share an effect.
     """
     names = _names(found)
     promised: list[tuple[float, Refit]] = []
@@ -78,8 +83,7 @@ def best_beginning(
             or len(promised) == OTHERS
         ):
             continue
-        left = [s.statistic for s in beside(rival).scores if not s.effect.traits.unnamed]
-        further = FORESEEN * max(left, default=0.0) - size_cost(series)
+        further = beside(rival, not _may_hold(found)) - size_cost(series)
         promised.append((rival.score - size_cost(series) + max(further, 0.0), rival))
     most, first = max(promised, key=lambda one: one[0], default=(0.0, None))
     score = found.score(series)

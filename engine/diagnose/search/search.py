@@ -37,7 +37,7 @@ from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.elsewhere import from_elsewhere
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.joint_refit import STAGE, look_back
-from engine.diagnose.refits.refit import with_tails
+from engine.diagnose.refits.refit import refit, with_tails
 from engine.diagnose.refits.refitted import Refit, cost, finished
 from engine.diagnose.refits.refitting import (
     FOLLOWED,
@@ -46,7 +46,7 @@ from engine.diagnose.refits.refitting import (
     refit_swallowed,
     swallowed_p,
 )
-from engine.diagnose.refits.rounds import Round
+from engine.diagnose.refits.rounds import FORESEEN, Round
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.screening.tails import (
@@ -110,12 +110,21 @@ def search(  # noqa: PLR0913
     if begun is None or not may_begin_otherwise(found, begun):
         return found
 
-    def beside(rival: Refit) -> Screen:
+    def beside(rival: Refit, bend: bool) -> float:
         progress(ANEW, 0.0)
-        fit = kept.within(f"beside {rival.effect.name}").fit(
-            rival.fit.model, partial(finished, rival.fit, series)
-        )
-        return _screened(series, setting, LATER * alpha, seed + 1, None, silent, fit, kinds)
+        own = kept.within(f"beside {rival.effect.name}")
+        fit = own.fit(rival.fit.model, partial(finished, rival.fit, series))
+        asked = _bends if bend else _has_a_name
+        try:
+            seen = _screened(
+                series, setting, LATER * alpha, seed + 1, None, silent, fit, kinds, asked
+            )
+            best = max(seen.scores, key=lambda score: score.statistic)
+            if not bend:
+                return FORESEEN * best.statistic
+            return own.refit(fit.model, best.effect, partial(refit, fit, series, best)).gain
+        except (EngineError, np.linalg.LinAlgError):
+            return 0.0  # as where it does not bend
 
     remembered = kept if kept.parts is not None else replace(kept, parts={})
 
@@ -275,10 +284,19 @@ def _screened(
     progress: Progress,
     fit: QuasiFit,
     kinds: Sequence[str] | None,
+    asked: Callable[[Effect], bool] = lambda _: True,
 ) -> Screen:
-    """What of these ``kinds`` is seen at a fit."""
+    """What of these ``kinds`` is seen at a fit, of those ``asked`` for."""
     beside = setting.beside(fit.model)
-    return screen_effects(fit, series, beside, kinds, alpha, seed, progress, outliers)
+    return screen_effects(fit, series, beside, kinds, alpha, seed, progress, outliers, asked)
+
+
+def _has_a_name(effect: Effect) -> bool:
+    return not effect.traits.unnamed
+
+
+def _bends(effect: Effect) -> bool:
+    return effect.traits.bends
 
 
 @dataclass(frozen=True, eq=False)

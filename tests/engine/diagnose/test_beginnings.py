@@ -10,7 +10,7 @@ import pytest
 import engine
 from engine.data.series import Series
 from engine.diagnose.refits.found import Search
-from engine.diagnose.refits.rounds import Round
+from engine.diagnose.refits.rounds import FORESEEN, Round
 from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
 from engine.diagnose.search.search import ANEW, TWICE, _by_rounds
 from tests.engine.diagnose.test_held import kettle
@@ -38,8 +38,9 @@ BEGUN = a_round(
 LEFT = {"variance": 10.0, "step": 50.0, "bias": 60.0}
 
 
-def beside(rival):
-    return Of(scores=[Of(statistic=LEFT[rival.effect.name], effect=rival.effect)])
+def beside(rival, bend):
+    assert not bend
+    return FORESEEN * LEFT[rival.effect.name]
 
 
 @pytest.fixture(autouse=True)
@@ -170,9 +171,10 @@ def test_beside_one_effect_the_drift_behind_it_is_tried_for_its_bend(gain):
     begun = a_round(refit("path", 100.0), refit("pole", 99.0), refit("parameter-drift", 90.0))
     assert may_begin_otherwise(found, begun)
 
-    def seen(rival):
+    def seen(rival, bend):
+        assert bend
         assert rival.effect.kind == "parameter-drift"
-        return Of(scores=[Of(statistic=30.0, effect=rival.effect)])
+        return 60.0
 
     def other(first, simulating):
         return a_search(gain, "parameter-drift", "bend")
