@@ -70,6 +70,7 @@ from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptom
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.diagnose.wider_set import widened, widened_by_records
 from engine.errors import OptionError, check_count
+from engine.estimation.about_edges import about_edges
 from engine.estimation.long_steps import FOR_ESTIMATES, about_predictions
 from engine.forked import in_processes
 from engine.randomness import check_seed
@@ -321,6 +322,8 @@ def diagnose(  # noqa: PLR0913
     if not (judged.causes and has_tails(judged.search)):
         notes.extend(filter(None, [about_own_steps(fitted_last, searched, causes.setting)]))
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes, after.free))
+    edge = about_edges(after.model, after.theta, after.free, [shown])
+    notes.extend([edge] if edge else [])
     clock.start("symptoms")
     symptoms = find_symptoms(
         model, judged.before.theta, fine.records.train, covariance_of(judged.before), seed=seed

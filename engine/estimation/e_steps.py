@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import ModelError, OptionError
-from engine.estimation.edges import where_it_fails
 from engine.estimation.expectation import expectation
 from engine.estimation.linear import as_linear
 from engine.estimation.maximization import Objective
+from engine.failing import where_it_fails
 from engine.filters.kalman import kalman_smoother
 from engine.filters.lost import nats_short
 from engine.filters.proposals import Proposal, get_proposal
@@ -33,6 +33,7 @@ from engine.smoothers.linear_cost import rb_ffbsi_linear
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.base import Array, BaseModel
+from engine.statespace.checks import failure
 from engine.statespace.model import MixedModel, Theta
 from engine.statespace.points import Points
 
@@ -195,9 +196,18 @@ def rbps_step(
             draws = condition_on_trajectories(draws, points)
         return Moments(draws.a, draws.z, draws.cov, draws.cross), points
 
-    run = partial(
+    filter_by = partial(
         rbpf, model, proposal=proposal, resampling=resampling, ess_threshold=ess_threshold
     )
+
+    def run(theta: Theta, one: Series, particles: int, rng: np.random.Generator) -> Filtered:
+        filtered = filter_by(theta, one, particles, rng)
+        if not np.isfinite(filtered.log_likelihood):  # for want of numbers, or of particles
+            failed = failure(model, np.asarray(theta), [one])
+            if failed is not None:
+                raise failed
+        return filtered
+
     objective = partial(expectation, model)
     return ParticleStep(all_series, run, smooth, objective, n_particles, recover, moment)
 

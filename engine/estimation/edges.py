@@ -8,43 +8,14 @@ to its edge instead, while the others go on, and led closer as long as that is w
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.arrays import Array
-from engine.errors import ModelError
-
-Arguments = ParamSpec("Arguments")
-Value = TypeVar("Value")
 
 SHARES = 0.5 ** np.arange(30)  # of a step, of which the largest that has a likelihood is sought
 CLOSER = 0.9  # of what is left to where there is none is gone then
-
-
-def where_it_fails(
-    value: Value,
-) -> Callable[[Callable[Arguments, Value]], Callable[Arguments, Value]]:
-    """A function that is to return ``value`` where a calculation of the model fails at the theta it is given.
-
-    A function of the model that is wrong fails everywhere, and is told.
-    """
-
-    def guarded(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
-        @wraps(function)
-        def tried(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Value:
-            try:
-                return function(*args, **kwargs)
-            except ModelError as error:
-                if not error.numeric:
-                    raise
-                return value
-
-        return tried
-
-    return guarded
 
 
 class Edges:
@@ -54,6 +25,10 @@ class Edges:
         self.lower, self.upper = np.array(lower), np.array(upper)
         n = len(self.lower)
         self._lost = np.full(n, -np.inf), np.full(n, np.inf)  # beyond the edges
+
+    def narrower_than(self, lower: Array, upper: Array) -> bool:
+        """Whether some place has no likelihood between these bounds (n,), as far as was learnt."""
+        return bool((self.lower > lower).any() or (self.upper < upper).any())
 
     def learnt(self, x: Array, direction: Array, likelihoods: Callable[[Array], Array]) -> bool:
         """Whether some components of a step from x (n,) have no likelihood by themselves; those get an edge.

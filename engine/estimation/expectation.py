@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import ModelError
-from engine.estimation.edges import where_it_fails
 from engine.estimation.q_function import Evaluate, GaussianTerm, Neighbours
+from engine.failing import where_it_fails
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.base import BaseModel

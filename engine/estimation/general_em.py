@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.estimation.edges import where_it_fails
 from engine.estimation.expectation import Ends, apart, beside
+from engine.failing import where_it_fails
 from engine.statespace.base import Array, Theta
 from engine.statespace.general import NonlinearModel
 

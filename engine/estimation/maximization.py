@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from engine.errors import OptionError
-from engine.estimation.edges import where_it_fails
 from engine.estimation.expectation import parameter_scale
+from engine.failing import where_it_fails
 from engine.statespace.base import Array, BaseModel
 from engine.statespace.refutation import repeated_if_refuted
 

@@ -63,8 +63,9 @@ class GaussianTerm:
         return int(np.count_nonzero(_pivots(_factor(S))))
 
     def possible(self, record: Any) -> bool:
-        """Whether S is a covariance at every point."""
-        return _is_possible(self.evaluate(record)[2])
+        """Whether means are finite, and S is a covariance, at every point."""
+        m, A, S = self.evaluate(record)
+        return bool(np.isfinite(m).all() and np.isfinite(A).all()) and _is_possible(S)
 
     def moves_noise_free(self, record: Any, neighbours: Neighbours) -> NDArray[np.bool_]:
         """Which of k parameters change x, or the noise, in directions without noise: (k,).

@@ -21,21 +21,20 @@ from numpy.typing import NDArray
 from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.errors import ModelError
-from engine.estimation.edges import Edges, where_it_fails
-from engine.estimation.expectation import either_side, parameter_scale
+from engine.estimation.along_edges import Edge, Place
+from engine.estimation.differences import alive, neighbours
+from engine.estimation.edges import Edges
+from engine.estimation.expectation import parameter_scale
 from engine.estimation.jumps import sides, slopes
 from engine.estimation.maximization import scoring_step
+from engine.failing import where_it_fails
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours
 from engine.filters.sigma_point import free_thetas, moment_filter
-from engine.statespace.checks import check_start, with_least_noise
+from engine.statespace.checks import check_start, failure, with_least_noise
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.ties import Ties, flat_directions, tied
 
-DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
-ONE_SIDED = 1e-6  # of it, where a bound leaves one side
-EVEN = 0.999  # of one side's step, from which the other is as long
-SMALL = 0.01  # of a value, up to which a step is small beside it
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths
 # those tried together, until one is good: after the whole step, and where that was too long before
 BATCHES = (slice(1, 3), slice(3, None))
@@ -216,8 +215,38 @@ def quasi_ml(  # noqa: PLR0913
                 continue
             converged = True
             break
+    bounds = model.lower[indices], model.upper[indices]
+    if not given_up and edges.narrower_than(*bounds):
+        edge = _edge(model, all_series, theta, indices, visited)
+        place, converged = edge.climbed(Place(theta[indices], value, g, H), tolerance)
+        theta, value, H = free_thetas(theta, indices, place.x[None])[0], place.value, place.H
     best = Theta(theta, model.parameter_names)
     return QuasiFit(given, best, float(value), names, H, iterations, converged, given_up)
+
+
+def _edge(
+    model: MixedModel,
+    all_series: Sequence[Series],
+    theta: Array,
+    indices: NDArray[np.intp],
+    visited: Sequence[Visited],
+) -> Edge:
+    """The edge of where the model can be had, near theta."""
+
+    def full(x: Array) -> Array:
+        return free_thetas(theta, indices, np.atleast_2d(x))
+
+    def at(x: Array) -> Place:
+        return Place(x, *_derivatives_or_none(model, all_series, full(x)[0], indices, visited))
+
+    return Edge(
+        model.lower[indices],
+        model.upper[indices],
+        np.array([parameter_scale(model, theta, int(k)) for k in indices]),
+        lambda x: failure(model, full(x)[0], all_series) is None,
+        lambda each: log_likelihoods(model, all_series, full(each)),
+        at,
+    )
 
 
 def with_scales(
@@ -349,35 +378,6 @@ def log_likelihoods(
     return np.asarray(np.sum(each, axis=0))
 
 
-def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Rows theta, then theta -+ a step in each free parameter; distances between the pairs (n,)."""
-    thetas = [np.array(theta)]
-    distances = []
-    for k in indices:
-        low, high = _beside(model, theta, int(k))
-        thetas += [low, high]
-        distances.append(high[k] - low[k])
-    return np.array(thetas), np.array(distances)
-
-
-def _beside(model: MixedModel, theta: Array, k: int) -> tuple[Array, Array]:
-    """Theta with parameter k less and more, as far on both sides where its bounds leave room.
-
-    On one side of a bound a difference is wrong by the step, not by its square. Where other parameters do
-    the same as this one, what that leaves of the direction between them was taken for information. A noise
-    next to 0 keeps the long step, which sees whether more of it is likelier.
-    """
-    low, high = either_side(model, theta, k, DIFFERENCE)
-    near, far = sorted((theta[k] - low[k], high[k] - theta[k]))
-    if near > EVEN * far or far > SMALL * abs(theta[k]):
-        return low, high
-    if near * DIFFERENCE < far * ONE_SIDED:
-        return either_side(model, theta, k, ONE_SIDED)
-    low[k] = max(theta[k] - near, model.lower[k])
-    high[k] = min(theta[k] + near, model.upper[k])
-    return low, high
-
-
 def derivatives(
     model: MixedModel,
     all_series: Sequence[Series],
@@ -393,20 +393,17 @@ def derivatives(
     between the neighbours of theta tell the slope of the side that does not. So does a neighbour that has no
     likelihood. Raises ModelError where the model fails at theta.
     """
-    thetas, distances = neighbours(model, theta, indices)
-    n, both = len(indices), sides(thetas, indices)
+    thetas, _ = neighbours(model, theta, indices)
+    n = len(indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
     for i, one in enumerate(all_series):
         f = filter_neighbours(model, thetas, one, visited[i] if visited else None)
         value += float(f.log_likelihood[0])
         if not np.isfinite(value):
             return -np.inf, g, H
-        lost = ~np.isfinite(f.log_likelihood)
-        apart, distances = both, both[2]
-        if lost.any():  # theta stands for them; the value is -inf below where both sides are lost
-            f = f.of(np.where(lost, 0, np.arange(len(thetas))))
-            apart = sides(np.where(lost[:, None], thetas[0], thetas), indices)
-            distances = apart[2]
+        f, ends = alive(f, thetas)  # the value is -inf below where both sides are lost
+        apart = sides(ends, indices)
+        distances = apart[2]
         total = f.log_likelihood
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             d_log = slopes(f.log_terms, *apart)

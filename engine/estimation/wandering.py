@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.estimation.e_steps import RETRIES, ParticleStep
+from engine.estimation.e_steps import RETRIES, ParticleStep, or_none
 from engine.estimation.em_result import EmResult
 from engine.estimation.followable import followable
 from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.filters.lost import FAR_NATS, nats_short
-from engine.statespace.base import Theta
+from engine.statespace.base import BaseModel, Theta
 from engine.words import number
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
@@ -71,8 +71,8 @@ def looked_back(
     fall = before[k] - moment(found.theta)
     if not fall > FAR_NATS:
         return found
-    there, short = _by_particles(passed[k], particles, rows, seed)
-    here, _ = _by_particles(found.theta, particles, rows, seed)
+    there, short = _by_particles(found.model, passed[k], particles, rows, seed)
+    here, _ = _by_particles(found.model, found.theta, particles, rows, seed)
     if there - here >= FAR_NATS:
         outcome = Outcome.WANDERED
         message = found.message.replace(found.outcome.value, outcome.value)
@@ -93,8 +93,8 @@ def looked_ahead(
     if not gain > (EXACT_NATS if likelihood.exact else FAR_NATS):
         return found
     if particles is not None and not likelihood.exact:
-        here, _ = _by_particles(found.theta, particles, likelihood.rows, seed)
-        gain = _by_particles(there, particles, likelihood.rows, seed)[0] - here
+        here, _ = _by_particles(found.model, found.theta, particles, likelihood.rows, seed)
+        gain = _by_particles(found.model, there, particles, likelihood.rows, seed)[0] - here
         if not gain > FAR_NATS:
             return found
     outcome = Outcome.STALLED
@@ -217,10 +217,13 @@ def clearly_likelier(here: Theta, there: Theta, particles: ParticleStep, seed: i
 
 
 def _by_particles(
-    theta: Theta, particles: ParticleStep, rows: int, seed: int
+    model: BaseModel, theta: Theta, particles: ParticleStep, rows: int, seed: int
 ) -> tuple[float, float]:
-    """Median log-likelihood of a few filters, and by how much such filters may fall short."""
+    """Median log-likelihood of a few filters, and by how much such filters may fall short.
+
+    -inf where the model cannot be had.
+    """
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(CHECKS)
-    steps = [particles.compared(theta, np.random.default_rng(s)) for s in seeds]
+    steps = [or_none(model, particles.compared, theta, np.random.default_rng(s)) for s in seeds]
     values = np.median([step.log_likelihood for step in steps])
     return float(values), nats_short(rows, float(np.median([step.ess for step in steps])))

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from engine.data.given import one_series
 from engine.data.series import Series
 from engine.errors import OptionError, SeriesError
+from engine.failing import where_it_fails
 from engine.simulation.simulate import check_finite, noise, propagate
 from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
@@ -224,12 +225,28 @@ def following(model: MixedModel, theta: Theta, x: Array, known: NDArray[np.bool_
 def run_rows(model: MixedModel, thetas: Array, series: Series, x1: Array) -> tuple[Array, Array]:
     """Noise-free runs of K parameter vectors (K, n_theta) from K first states (K, nx).
 
-    Returns y (T, K, ny) and x (T, K, nx). K runs cost about as much as one where the model's functions
-    take arrays of parameters.
+    Returns y (T, K, ny) and x (T, K, nx), NaN for those at which the model cannot be had. K runs cost about as
+    much as one where the model's functions take arrays of parameters.
     """
-    na = model.na
-    y, a, z = propagate(model, model.records(thetas), series, x1[:, :na], x1[:, na:])
-    return y, np.concatenate((a, z), axis=2)
+    na, K = model.na, len(thetas)
+    nowhere = (
+        np.full((len(series), 1, model.ny), np.nan),
+        np.full((len(series), 1, model.nx), np.nan),
+    )
+
+    @where_it_fails(nowhere)
+    def runs(rows: slice) -> tuple[Array, Array]:
+        record, x = model.records(thetas[rows]), x1[rows]
+        y, a, z = propagate(model, record, series, x[:, :na], x[:, na:])
+        return y, np.concatenate((a, z), axis=2)
+
+    found = runs(slice(None))
+    if found is not nowhere or K == 1:
+        return found
+    each = [runs(slice(k, k + 1)) for k in range(K)]
+    return np.concatenate([y for y, _ in each], axis=1), np.concatenate(
+        [x for _, x in each], axis=1
+    )
 
 
 def _fit_first_state(

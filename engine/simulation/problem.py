@@ -18,6 +18,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from engine.data.series import Series
 from engine.errors import ModelError
+from engine.failing import where_it_fails
 from engine.simulation.covariance import Determined, run_covariance
 from engine.simulation.free_run import (
     first_state,
@@ -113,7 +114,8 @@ class FreeRunProblem:
         """How far theta (n_theta,) moves first states that are known, and so not found themselves (nx,)."""
         if (self.spread > 0.0).all():
             return np.zeros(len(self.spread))
-        mean, _ = first_state(self.model, self.model.theta(theta))
+        lost = np.full_like(self.mean, np.nan), self.spread
+        mean, _ = where_it_fails(lost)(first_state)(self.model, self.model.theta(theta))
         return np.where(self.spread > 0.0, 0.0, mean - self.mean)
 
     def bounds(self) -> tuple[Array, Array]:
@@ -335,15 +337,22 @@ class FreeRunProblem:
         model, one = self.model, self.series[s]
         if not self.at_once or len(one) < SHORTEST:
             return None
-        record = model.record(theta)
-        model.observations.look_again()
-        x = states_of(model, record, one, x1, self.runs[s])
-        if not np.isfinite(x).all():
-            return x, np.full_like(one.y, np.inf)
-        self.runs[s] = x
-        with np.errstate(all="ignore"):
-            seen = tested(model, observations(model, record, one), x)
-        return None if seen is None else (x, seen.value)
+        lost = np.full_like(one.y, np.inf)
+        nowhere: Run | None = np.full((len(one), model.nx), np.nan), lost
+
+        @where_it_fails(nowhere)
+        def run() -> Run | None:
+            record = model.record(theta)
+            model.observations.look_again()
+            x = states_of(model, record, one, x1, self.runs[s])
+            if not np.isfinite(x).all():
+                return x, lost
+            self.runs[s] = x
+            with np.errstate(all="ignore"):
+                seen = tested(model, observations(model, record, one), x)
+            return None if seen is None else (x, seen.value)
+
+        return run()
 
     def _slopes(self, theta: Theta, x: Array, one: Series) -> Array:
         """Derivatives (T, ny, k + m) of a series' outputs along its run x (T, nx)."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from engine.data.series import Series
+from engine.failing import where_it_fails
 from engine.kernels.trajectory import displaced, fill_column
 from engine.statespace.compare import Result
 from engine.statespace.evaluation import ModelFunction
@@ -111,8 +112,16 @@ class Steps:
     def slope_between(
         self, x: Array, at: Values, ends: tuple[Any, Any], down: float, up: float
     ) -> Array:
-        """Difference quotient (n, m) between two records, at ``down`` <= 0 <= ``up`` from this one."""
-        fall, rise = (self.at(record)(x).value - at.value for record in ends)
+        """Difference quotient (n, m) between two records, at ``down`` <= 0 <= ``up`` from this one.
+
+        Where the model cannot be had at one of them, it is that between the other and this one.
+        """
+        lost = np.full_like(at.value, np.nan)
+
+        def values(record: Any) -> Array:
+            return self.at(record)(x).value
+
+        fall, rise = (where_it_fails(lost)(values)(record) - at.value for record in ends)
         return _quotient(fall, rise, down, up, True)
 
 

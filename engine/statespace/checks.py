@@ -198,6 +198,7 @@ def check_symmetric(model: MixedModel, where: str, S: Array) -> None:
         raise ModelError(f"model '{model.name}', {where} is not symmetric:\n{S.squeeze()}")
 
 
+@np.errstate(all="ignore")  # what is not finite is told
 def _check_functions(
     model: MixedModel,
     theta: Array,

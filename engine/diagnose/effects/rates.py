@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from engine.estimation.expectation import parameter_scale
 from engine.filters.filter_steps import first_moments
+from engine.statespace.had import first_that_can_be_had
 from engine.statespace.half_steps import SHORTER, step
 from engine.statespace.model import Array, MixedModel
 
@@ -92,11 +93,8 @@ def moved_by(model: MixedModel, theta: Array, points: Points, parameter: str) ->
     Not of states that only scale noise. Raises EngineError where the model cannot be used beside theta.
     """
     index = model.index(parameter)
-    low, high = model.parameters[index].bounds
-    other = np.array(theta, dtype=float)
-    away = 0.1 * abs(other[index]) or 1.0
-    up, down = min(other[index] + away, high), max(other[index] - away, low)
-    other[index] = up if up > other[index] else down
+    away = 0.1 * abs(theta[index]) or 1.0
+    other = _moved(model, theta, index, (away, -away), points)
     states = readings = False
     physical = ~np.isin([*model.nonlinear, *model.linear], model.scale_states)
     for k in range(len(points.t)):
@@ -116,12 +114,8 @@ def slopes_by(
     Of the step a ``share``: by default so small a part that it is no more than what it does at once.
     """
     index = model.index(parameter)
-    other = np.array(theta, dtype=float)
-    for sign in (0.07, -0.07):  # of two ways one is open
-        away = sign * parameter_scale(model, theta, index)
-        moved = np.clip(theta[index] + away, *model.parameters[index].bounds)
-        if abs(moved - theta[index]) > abs(other[index] - theta[index]):
-            other[index] = moved
+    away = 0.07 * parameter_scale(model, theta, index)
+    other = _moved(model, theta, index, (away, -away), points)
     short = replace(points, dt=share * points.dt)
     states, readings = [], []
     for k in range(len(points.t)):
@@ -129,6 +123,19 @@ def slopes_by(
         states.append(np.subtract(*(_next(model, at, short, k, x, u)[0] for at in (other, theta))))
         readings.append(np.subtract(*(_read(model, at, x, u, t)[0] for at in (other, theta))))
     return np.nan_to_num(states), np.nan_to_num(readings)
+
+
+def _moved(model: MixedModel, theta: Array, k: int, ways: Sequence[float], points: Points) -> Array:
+    """Theta with parameter k moved one of these ways: the farthest that it can go, of those the first.
+
+    Theta itself where the model cannot be had on either side.
+    """
+    others = np.tile(np.asarray(theta, dtype=float), (len(ways), 1))
+    others[:, k] = np.clip(theta[k] + np.asarray(ways), model.lower[k], model.upper[k])
+    farthest = np.argsort(-np.abs(others[:, k] - theta[k]), kind="stable")
+    first = points.x[:1, : model.na], points.u[0], float(points.t[0]), float(points.dt[0])
+    found = first_that_can_be_had(model, others[farthest], *first)
+    return np.array(theta, dtype=float) if found is None else found
 
 
 def _read(model: MixedModel, theta: Array, x: Array, u: Array, t: float) -> Array:
@@ -183,9 +190,17 @@ def two_thetas(model: MixedModel) -> tuple[Array, Array]:
 
 
 def beside(model: MixedModel, theta: Array) -> Array:
-    """Parameters (n_theta,) beside these, within their bounds: what is 0 here may not stay so."""
+    """Parameters (n_theta,) beside these, within their bounds: what is 0 here may not stay so.
+
+    On that side where the model can be had; some of them up and some down where it is on neither.
+    """
     away = 0.07 * np.array([parameter_scale(model, theta, k) for k in range(len(theta))])
-    return np.clip(theta + away, model.lower, model.upper)
+    mixed = away * (-1.0) ** np.arange(len(away))
+    mean, _ = first_moments(model, theta)
+    first = mean[None, : model.na], np.ones(model.nu), 0.0, 1.0
+    others = [theta + way for way in (away, -away, mixed, -mixed)]
+    found = first_that_can_be_had(model, others, *first)
+    return np.clip(others[0], model.lower, model.upper) if found is None else found
 
 
 def _rates(

@@ -30,6 +30,7 @@ MEANS = NEXT, READING, FIRST = (0, 2, 5)
 LATER = (NEXT, READING)
 
 
+@np.errstate(all="ignore")  # beside theta
 def noise_only(
     model: MixedModel,
     theta: Array,
@@ -127,6 +128,7 @@ def apart(columns: Sequence[Column], noise: NDArray[np.bool_], readings: int) ->
     return out
 
 
+@np.errstate(all="ignore")  # beside theta
 def _covariances(
     model: MixedModel, theta: Array, k: int, series: Series, path: MomentPath
 ) -> tuple[bool, bool]:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.estimation.quasi_ml import neighbours, whitening
+from engine.estimation.differences import alive, neighbours
+from engine.estimation.jumps import sides
+from engine.estimation.quasi_ml import whitening
 from engine.filters.filter_steps import first_moments
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours, visited_on
 from engine.filters.sigma_point import KNOWN_SHARE, MomentFiltered, MomentPath
@@ -93,12 +95,13 @@ def innovation_columns(
 def parameter_columns(
     model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series
 ) -> list[Column]:
-    """The directions of the estimated parameters."""
+    """The directions of the estimated parameters; none of one on whose both sides the model cannot be had."""
     if not len(indices):
         return []
-    thetas, distances = neighbours(model, theta, indices)
-    filtered = filter_neighbours(model, thetas, series)
-    pairs = [(1 + 2 * i, 2 + 2 * i, float(d)) for i, d in enumerate(distances)]
+    thetas, _ = neighbours(model, theta, indices)
+    filtered, ends = alive(filter_neighbours(model, thetas, series), thetas)
+    distances = sides(ends, indices)[2]
+    pairs = [(1 + 2 * i, 2 + 2 * i, float(d) or 1.0) for i, d in enumerate(distances)]
     return innovation_columns(filtered, series.observed, pairs)
 
 

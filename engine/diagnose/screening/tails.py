@@ -21,9 +21,10 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.rounding import below_rounding
 from engine.diagnose.screening.screen import Test
 from engine.distributions import kurtosis_z, normal_sf
+from engine.estimation.differences import DIFFERENCE, alive, neighbours
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.jumps import sides, slopes
-from engine.estimation.quasi_ml import DIFFERENCE, QuasiFit, neighbours
+from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.rbpf import Filtered, rbpf
 from engine.filters.sigma_point import MomentPath, moment_filter, moment_path
 from engine.kernels.filtering import condition, draw_prior
@@ -179,9 +180,10 @@ def tails_information(fit: QuasiFit, effect: Effect, series: Series, extended: A
     beside = own + np.repeat(np.diag(steps), 2, axis=0) * [[-1.0], [1.0], [-1.0], [1.0]]
     every = np.concatenate([thetas, np.repeat(theta[None], 4, axis=0)])
     pairs = np.concatenate([np.repeat(own[None], len(thetas), axis=0), beside])
-    terms = moment_filter(effect.apply(fit.model), np.hstack([every, pairs]), series).log_terms
-    apart = zip(sides(thetas, indices), (steps, steps, 2.0 * steps), strict=True)
-    known = np.nan_to_num(slopes(terms, *map(np.concatenate, apart)))
+    points = np.hstack([every, pairs])
+    filtered, points = alive(moment_filter(effect.apply(fit.model), points, series), points)
+    apart = zip(sides(points[: len(thetas)], indices), (steps, steps, 2.0 * steps), strict=True)
+    known = np.nan_to_num(slopes(filtered.log_terms, *map(np.concatenate, apart)))
     return np.asarray(known.T @ known)
 
 

@@ -19,7 +19,9 @@ from engine.diagnose.screening.disturbances import best_frequencies, pulse_score
 from engine.diagnose.screening.episodes import Window, near, promising, strides
 from engine.diagnose.screening.score_columns import Column, Projection, whitened
 from engine.diagnose.screening.screen import Test, make_test
+from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
+from engine.failing import where_it_fails
 from engine.filters.sigma_point import MomentPath
 from engine.kernels.sensitivities import footprints
 from engine.statespace.model import Array, MixedModel
@@ -219,6 +221,7 @@ def _driver(
     return b, e
 
 
+@np.errstate(all="ignore")  # beside theta
 def _sensitivity(
     model: MixedModel, theta: Array, k: int, series: Series, path: MomentPath
 ) -> tuple[Array, Array]:
@@ -230,15 +233,25 @@ def _sensitivity(
     na = model.na
     predicted = Points(model, series, path.predicted[:, None, :na])
     filtered = Points(model, series, path.filtered[:, None, :na])
-    ends = []
+
+    def means(at: Array) -> tuple[Array, Array]:
+        record = model.record(at)
+        x_next = _mean(filtered.transition(record), path.filtered[:-1, na:])
+        return x_next, _mean(predicted.observation(record), path.predicted[:, na:])
+
+    ends, nowhere = [], np.full(1, np.nan)
     for sign in (-1.0, 1.0):
         moved = np.array(theta)
         moved[k] = np.clip(theta[k] + sign * step, model.lower[k], model.upper[k])
-        record = model.record(moved)
-        x_next = _mean(filtered.transition(record), path.filtered[:-1, na:])
-        y = _mean(predicted.observation(record), path.predicted[:, na:])
-        ends.append((x_next, y, moved[k]))
+        found = where_it_fails((nowhere, nowhere))(means)(moved)
+        if not all(np.isfinite(one).all() for one in found):
+            moved, found = theta, means(theta)  # on this side the model cannot be had
+        ends.append((*found, moved[k]))
     distance = ends[1][2] - ends[0][2]
+    if not distance:
+        raise ModelError(
+            f"model '{model.name}' cannot be had on either side of theta", numeric=True
+        )
     return (ends[1][0] - ends[0][0]) / distance, (ends[1][1] - ends[0][1]) / distance
 
 

@@ -9,6 +9,7 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import MomentPath, moment_path
 from engine.kernels.gaussian import psd_cholesky
 from engine.simulation.simulate import noise, propagate
+from engine.statespace.had import can_be_had, first_that_can_be_had
 from engine.statespace.model import Array, MixedModel
 
 FEWEST, MOST = 20, 100  # rows of measurements that the first state is estimated from
@@ -82,6 +83,7 @@ def draws(
         return np.ascontiguousarray(np.swapaxes(y, 0, 1))
     thetas = theta + rng.standard_normal((n, len(theta))) @ psd_cholesky(covariance).T
     thetas = np.clip(thetas, model.lower, model.upper)
+    thetas = _where_it_can_be_had(model, theta, thetas, series, x)
     record = model.records(thetas)
     u, t, dt = series.u_step[0], float(series.t[0]), float(series.steps[0])
     if model.transitions.takes(x[:, :na], u, t, dt, record):
@@ -93,6 +95,25 @@ def draws(
         y, _, _ = propagate(model, record, series, x[rows, :na], x[rows, na:], rng)
         parts.append(np.swapaxes(y, 0, 1))
     return np.concatenate(parts)
+
+
+def _where_it_can_be_had(
+    model: MixedModel, theta: Array, thetas: Array, series: Series, x: Array
+) -> Array:
+    """``thetas`` (n, n_theta) drawn around theta, from its other side where the model cannot be had at one.
+
+    So an estimate at the edge of such places has those of the side that there is.
+    """
+    a = x[:, : model.na]
+    first = series.u_step[0], float(series.t[0]), float(series.steps[0])
+    if can_be_had(model, model.records(thetas), a, *first).all():
+        return thetas
+    out = np.tile(theta, (len(thetas), 1))
+    for k, drawn in enumerate(thetas):
+        either = drawn, 2.0 * theta - drawn
+        found = first_that_can_be_had(model, either, a[k : k + 1], *first)
+        out[k] = theta if found is None else found
+    return out
 
 
 def covariance_of(fit: QuasiFit) -> Array:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.estimation.edges import where_it_fails
 from engine.estimation.uncertainty.roots import floored_inverse, good_guess, symmetric_root
 from engine.estimation.uncertainty.score import Score, shift_within
+from engine.failing import where_it_fails
 from engine.statespace.model import Array
 
 # Length of the differences in standard errors: further out the curvature differs, and nearer noise is larger.

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from engine import Series, get_model, simulate
-from engine.estimation.quasi_ml import derivatives, neighbours
+from engine.estimation.differences import neighbours
+from engine.estimation.quasi_ml import derivatives
 from engine.filters import neighbours as module
 from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.neighbours import (

@@ -11,7 +11,7 @@ import pytest
 import engine
 from engine import Series
 from engine.diagnose import extend
-from engine.estimation.quasi_ml import neighbours
+from engine.estimation.differences import neighbours
 from engine.filters.neighbours import filter_neighbours
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.reads import reads

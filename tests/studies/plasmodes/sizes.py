@@ -28,7 +28,8 @@ from engine.diagnose.free_run_fits.linear import orthonormal
 from engine.diagnose.records import Records
 from engine.diagnose.symptoms.runs import noise_free
 from engine.errors import EngineError
-from engine.estimation.quasi_ml import neighbours, quasi_ml, whitening
+from engine.estimation.differences import neighbours
+from engine.estimation.quasi_ml import quasi_ml, whitening
 from engine.filters.neighbours import filter_neighbours
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array
