@@ -127,7 +127,7 @@ def test_a_simulation_is_fitted_though_trials_of_it_fail():
 def test_a_diagnosis_there_sees_the_same_whether_the_model_is_nan_or_raises():
     pages = [diagnose(model, RECORD, seed=1, processes=1) for model in MODELS.values()]
     seen = [{s.effect.name: s.p_value for s in page.rounds[0].screen.scores} for page in pages]
-    assert seen[0] == pytest.approx(seen[1], abs=0.02)
+    assert seen[0] == pytest.approx(seen[1], abs=0.1)
     for page in pages:
         assert page.verdict.value == "nothing"
         assert "next to where the model cannot be had" in str(page)
