@@ -29,7 +29,7 @@ from engine.estimation.jumps import sides, slopes
 from engine.estimation.maximization import scoring_step
 from engine.failing import where_it_fails
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours
-from engine.filters.sigma_point import free_thetas, moment_filter
+from engine.filters.sigma_point import free_thetas, moment_filter, moment_path
 from engine.statespace.checks import check_start, failure, with_least_noise
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
@@ -151,6 +151,8 @@ def quasi_ml(  # noqa: PLR0913
     visited = [Visited() for _ in all_series] if visited is None else visited
     value, g, H = derivatives(model, all_series, theta, indices, visited)
     if not np.isfinite(value):
+        for one in all_series:
+            moment_path(model, theta, one)  # tells where it is lost, and why
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
         )

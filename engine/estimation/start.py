@@ -83,7 +83,7 @@ class WarmStart:
             return []
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
-                f"EM started from the start values; no better start could be searched for: {error}"
+                f"EM started from the start values; no better start could be searched for: {error}."
             )
             return []
 

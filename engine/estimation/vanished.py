@@ -157,6 +157,7 @@ def revived_by_particles(
     return best if best is not None and clearly_likelier(theta, best, particles, seed) else None
 
 
+@np.errstate(invalid="ignore")  # where the filter of moments is lost
 def _flat(model: BaseModel, theta: Theta, k: int, up: bool, particles: ParticleStep) -> bool:
     """Whether parameter k does nothing on its way to one side, by the moment filter, which costs little."""
     moment = particles.moment

@@ -50,6 +50,7 @@ AGAINST = (
 )
 
 
+@np.errstate(invalid="ignore")  # where the filter of moments is lost
 def looked_back(
     found: EmResult,
     moment: Callable[[Theta], float],

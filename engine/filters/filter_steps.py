@@ -11,6 +11,7 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.kernels.moments import sigma_points, transform
 from engine.statespace.first_state import moments_of_first
+from engine.statespace.had import no_number
 from engine.statespace.model import Array, MixedModel, stacked
 
 
@@ -98,15 +99,34 @@ class FilterSteps:
         mean, cov, cross = transform(f, A, Q, z, V, offsets, self.na)
         return mean, cov, cross
 
+    def why_lost(self, m: Array, P: Array, t: int) -> str:
+        """Why one filter with filtered moments (nx,), (nx, nx) at row t has none at the next; "" if unknown."""
+        if not self.na:
+            return ""
+        means, covs = m[None], P[None]
+        a = sigma_points(means, covs, self.na)[0].reshape(-1, self.na)
+        why = no_number(self.model, "dynamics", a, self.transition(t, a))
+        if why:
+            return why
+        means, covs, _ = self.through(self.transition, t, means, covs)
+        return self.why_unread(means[0], covs[0], t + 1)
+
+    def why_unread(self, m: Array, P: Array, t: int) -> str:
+        """Why one filter with predicted moments (nx,), (nx, nx) predicts no reading at row t; "" if unknown."""
+        if not self.na:
+            return ""
+        a = sigma_points(m[None], P[None], self.na)[0].reshape(-1, self.na)
+        return no_number(self.model, "measurement", a, self.observation(t, a))
+
 
 def first_moments(model: MixedModel, theta: Array) -> tuple[Array, Array]:
     """Mean (nx,) and covariance (nx, nx) of x_1 at theta."""
     return moments_of_first(model, model.record(theta))
 
 
-def lost_at(model: MixedModel, series: Series, t: int) -> ModelError:
-    """The error of a filter that has no finite moments, or likelihood, from row t on."""
+def lost_at(model: MixedModel, series: Series, t: int, why: str = "") -> ModelError:
+    """The error of a filter that has no finite moments, or likelihood, from row t on, and why."""
     return ModelError(
         f"model '{model.name}': the filter is lost at row {t} (t = {series.t[t]:g}); its "
-        "mean or likelihood is not finite. Check theta and the first state's density"
+        f"mean or likelihood is not finite. {why or 'Check theta and the density of the first state'}"
     )

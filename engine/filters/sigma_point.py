@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.failing import where_it_fails
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.filters.strata import StrataSteps, filter_in_strata, path_in_strata
 from engine.filters.taped import filter_by_tape
@@ -197,11 +198,21 @@ def _keep(run: FilterSteps, kept: dict[str, Array]) -> float:
     kept["innovations"][:], kept["S"][:] = found[0][:, 0], found[1][:, 0]
     kept["S_predicted"] = kept["S"]
     with np.errstate(over="ignore"):
-        total = found[2][:, 0].cumsum()
+        total = usable(found[2], found[0], found[1], series)[:, 0].cumsum()
     here = np.isfinite(total) & np.isfinite(kept["filtered"]).all(axis=1)
     if not here.all():
-        raise lost_at(model, series, int(np.argmin(here)))
+        t = int(np.argmin(here))
+        raise lost_at(model, series, t, _why_lost(run, kept, t))
     return float(total[T - 1])
+
+
+@where_it_fails("")
+def _why_lost(run: FilterSteps, kept: dict[str, Array], t: int) -> str:
+    """Why the filter is lost at row t; "" if nobody knows."""
+    if not t:
+        means, covs = run.start()
+        return run.why_unread(means[0], covs[0], 0)
+    return run.why_lost(kept["filtered"][t - 1], kept["P_filtered"][t - 1], t - 1)
 
 
 def _kept_by_calls(

@@ -255,7 +255,8 @@ def path_in_strata(run: StrataSteps, kept: dict[str, Array]) -> float:
         run.keep(kept, "filtered", t, mean[0])
         run.keep(kept, "P_filtered", t, cov[0])
         total += float(term[0])
-        if not (np.isfinite(mean).all() and np.isfinite(total)):
+        read = np.isfinite(kept["innovations"][t][observed[t]]).all()
+        if not (read and np.isfinite(mean).all() and np.isfinite(total)):
             raise lost_at(run.model, series, t)
         if t < T - 1:
             m, P, cross = run.through(run.transition, t, *run.renewed(mean, cov))

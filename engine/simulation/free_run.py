@@ -179,7 +179,7 @@ def free_run(
         x1 = _fit_first_state(model, vector, series, x1, spread, own, initial_rows)
         own &= spread == 0.0
     y, a, z = propagate(model, record, series, x1[None, : model.na], x1[None, model.na :])
-    check_finite(model, series, y, a, z)
+    check_finite(model, record, series, y, a, z)
     lower, upper = (None, None) if bands is None else _bands(model, vector, series, x1, own, bands)
     return FreeRun(model, vector, series, y[:, 0], a[:, 0], z[:, 0], lower, upper)
 

@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike
 
 from engine.data.series import Series
 from engine.errors import ModelError, OptionError
+from engine.failing import where_it_fails
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.randomness import Rng, generator
 from engine.simulation.steps import observations
 from engine.simulation.taped import run_by_tape
 from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import FIRST_Z, READING, STEP, check_start, possible_noise
+from engine.statespace.had import no_number
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import through
@@ -143,7 +145,7 @@ def copies(
     z1, P1 = model.start(record).linear(a1)
     z1 = z1 + noise(possible_noise(model, FIRST_Z, P1, frame.t[0]), z1.shape, rng)
     y, a, z = propagate(model, record, frame, a1, z1, rng)
-    check_finite(model, frame, y, a, z)
+    check_finite(model, record, frame, y, a, z)
     return y, a, z
 
 
@@ -272,14 +274,33 @@ def step_lengths(series: Series) -> Array:
     return series.steps if series.dt is None else np.full(len(series) - 1, series.dt)
 
 
-def check_finite(model: MixedModel, series: Series, *values: Array) -> None:
-    """Raise ModelError naming the first time at which any of the values (T, ...) is not finite."""
+def check_finite(
+    model: MixedModel, record: Any, series: Series, y: Array, a: Array, z: Array
+) -> None:
+    """Raise ModelError naming the first time at which y (T, K, ny), a or z is not finite, and why."""
     finite = np.ones(len(series), dtype=bool)
-    for value in values:
+    for value in (y, a, z):
         finite &= np.isfinite(value).reshape(len(series), -1).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise ModelError(
-            f"model '{model.name}': the simulation runs away; at t = {series.t[row]:g} (row "
-            f"{row}) it is not finite any more. Check theta, the inputs' scale and the time step"
-        )
+    if finite.all():
+        return
+    row = int(np.argmin(finite))
+    what, why = "runs away", "Check theta, the inputs' scale and the time step"
+    if unwritten := _no_number(model, record, series, a, row):
+        what, why = "ends", unwritten
+    raise ModelError(
+        f"model '{model.name}': the simulation {what}; at t = {series.t[row]:g} (row {row}) it is not finite "
+        f"any more. {why}"
+    )
+
+
+@where_it_fails("")
+@np.errstate(all="ignore")
+def _no_number(model: MixedModel, record: Any, series: Series, a: Array, row: int) -> str:
+    """Why states a (T, K, na) give no numbers at a row, where one was read or came from; "" where they do."""
+    seen = model.observation(a[row], series.u[row], float(series.t[row]), record)
+    why = no_number(model, "measurement", a[row], seen)
+    if why or not row:
+        return why
+    before, dt = row - 1, float(step_lengths(series)[row - 1])
+    came = model.transition(a[before], series.u_step[before], float(series.t[before]), dt, record)
+    return no_number(model, "dynamics", a[before], came)

@@ -1,6 +1,7 @@
-"""Whether a model can be had at parameters: whether its functions return numbers there.
+"""Whether a model can be had: whether its functions return numbers at parameters, and at states.
 
-Where it cannot be had, slopes are those of the other side, and what is drawn comes from there.
+Where it cannot be had at parameters, slopes are those of the other side, and what is drawn comes from there.
+Where it cannot be at states, whoever wrote it is told where.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from engine.failing import where_it_fails
 from engine.statespace.model import Array, MixedModel
+from engine.words import enumerated, with_unit
 
 
 @np.errstate(all="ignore")
@@ -39,3 +41,27 @@ def first_that_can_be_had(
         if can_be_had(model, model.record(inside), a, u, t, dt).all():
             return np.asarray(inside)
     return None
+
+
+def no_number(model: MixedModel, name: str, a: Array, values: tuple[Array, Array, Array]) -> str:
+    """A sentence where a function of the model has NaN among its ``values`` at states a (n, na); else ""."""
+    n = len(a)
+    if not (model.na and n):
+        return ""
+    own = [
+        values[0],
+        *(one for one in values[1:] if one.ndim == 3 and len(one) == n),
+    ]  # not common to all
+    lost = np.any([np.isnan(value).reshape(n, -1).any(axis=1) for value in own], axis=0)
+    lost &= np.isfinite(a).all(axis=1)
+    if not lost.any():
+        return ""
+    states = [
+        f"{state} = {with_unit(value, unit)}"
+        for (state, unit), value in zip(model.nonlinear.items(), a[lost][0].tolist(), strict=True)
+    ]
+    return (
+        f"At {enumerated(states)} its {name} has no number. A root or a logarithm of a state has none below "
+        "zero: where a run or a filter may get there, say what holds there, as in "
+        "np.sqrt(np.maximum(a[:, 0], 0.0)), or take the state's logarithm for the state"
+    )
