@@ -249,7 +249,7 @@ def searched(monkeypatch):
     def run(*p_values):
         made = []
 
-        def screened(fit, series, setting, kinds, level, seed, progress, taken):
+        def screened(fit, series, setting, kinds, level, seed, progress, taken, asked):
             p = p_values[len(made)]
             made.append(level)
             seen = a_screen(statistic=60.0)
