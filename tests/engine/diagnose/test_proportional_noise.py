@@ -79,7 +79,9 @@ def test_a_share_is_asked_for_only_where_readings_vary_in_relation_to_their_size
 def test_a_reading_without_a_zero_has_no_share():
     series = record(cart(), 60)
     setting = setting_for(cart(), series, np.asarray(cart().theta()))
-    assert "relative-noise" not in {e.kind for e in all_effects(setting)}
+    assert not {"relative-noise:tape", "relative-noise:position"} & {
+        e.name for e in all_effects(setting)
+    }
     declared = replace(cart(), reference={"tape": 0.0})
     setting = setting_for(declared, series, np.asarray(declared.theta()))
     assert "relative-noise:tape" in {e.name for e in all_effects(setting)}
@@ -138,3 +140,70 @@ def test_noise_that_grows_otherwise_is_not_said_to_be_a_share_alone():
     )
     first = found.search.rounds[0]
     assert "variance:conc->level" in {one.effect.name for one in first.equivalent}
+
+
+STOCK = engine.continuous(
+    name="stock",
+    drift=lambda a, u, t, theta: ([theta.K / theta.tau], [[-1.0 / theta.tau]]),
+    diffusion=lambda a, u, t, theta: [[theta.q]],
+    measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r]]),
+    initial=lambda theta: (None, [theta.K], [[100.0]]),
+    linear={"biomass": "t"},
+    outputs={"catch": "t"},
+    parameters=[
+        engine.Parameter("tau", 8.0, "year", (0.1, 200.0)),
+        engine.Parameter("K", 20.0, "t", (0.0, 500.0)),
+        engine.Parameter("q", 1.0, "t^2/year", (0.0, 1e3)),
+        engine.Parameter("r", 0.1, "t^2", (1e-6, 1e6)),
+    ],
+)
+
+
+def grown(seed, scatter):
+    """A stock that good and bad years move by ``scatter(biomass)``, in twenty steps a year."""
+    rng, x, y = np.random.default_rng(seed), 20.0, []
+    for _ in range(250):
+        y.append(x + 0.3 * rng.standard_normal())
+        for dw in np.sqrt(0.05) * rng.standard_normal(20):
+            x = max(x + 0.05 * (20.0 - x) / 8.0 + scatter(x) * dw, 1e-6)
+    return engine.Series(np.array(y), dt=1.0, time_unit="year")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("scatter", "named"),
+    [
+        (lambda x: 0.25 * x, ["relative-noise:biomass"]),
+        (lambda x: 2.0, []),
+    ],
+)
+def test_process_noise_in_proportion_to_a_linear_state_is_named(scatter, named):
+    """There was no effect for it, and a sensor that saturates or bends was named."""
+    kinds = ["saturation-sensor", "cubic-sensor", "rectification", "variance", "relative-noise"]
+    found = find_causes(STOCK, grown(1, scatter), effects=kinds, seed=1)
+    assert [one.effect.name for one in found.search.named] == named
+    if named:
+        share = np.sqrt(found.search.final.theta["relative_noise_biomass"])
+        assert 0.2 < share < 0.3  # of the stock in a year, whatever the model's own noise was
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.25])
+def test_noise_is_a_share_of_a_state_in_each_unit_of_time(dt):
+    """By its mean over the step: with the state at its beginning alone, rain in a store was missed."""
+    setting = Setting(STOCK, zeros={"biomass": 2.0}, time_unit="year")
+    effect = make_effect("relative-noise:biomass", setting)
+    model = effect.apply(STOCK)
+    assert list(model.nonlinear) == ["biomass"]
+    theta = model.theta({"relative_noise_biomass": 0.04})
+    a = np.array([[2.0], [12.0]])
+    Q = model.transition(a, np.zeros(0), 0.0, dt, model.record(theta))[2]
+    own = STOCK.transition(np.zeros((1, 0)), np.zeros(0), 0.0, dt, STOCK.record(STOCK.theta()))[2]
+    ends = 20.0 + (a[:, 0] - 20.0) * np.exp(-dt / 8.0)
+    squares = 0.5 * ((a[:, 0] - 2.0) ** 2 + (ends - 2.0) ** 2)
+    assert Q[:, 0, 0] - own.item() == pytest.approx(0.04 * dt * squares)
+    assert effect.size.unit == "1/year"
+
+
+def test_noise_may_grow_with_a_linear_state_itself_as_with_a_nonlinear_one():
+    names = {e.name for e in all_effects(Setting(STOCK))}
+    assert {"variance:biomass->biomass", "variance:catch->biomass"} <= names

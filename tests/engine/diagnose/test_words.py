@@ -279,6 +279,8 @@ def test_noise_that_is_estimated_as_a_square_is_told_as_a_share_of_the_reading()
         cause(("relative-noise:y",), size=4.2e-4, error=5e-5), effect="relative-noise:y", unit="1"
     )
     assert "0.00042 +- 5e-05 (2.0 % of the reading), p = 0.01" in headline(noise, 0.01, "s")
+    grown = replace(noise, effect="relative-noise:stock", size=0.04, unit="1/year")
+    assert "(20 % of stock in 1 year), p = 0.01" in headline(grown, 1.0, "year")
 
 
 def test_the_step_of_a_record_is_that_of_its_samples():

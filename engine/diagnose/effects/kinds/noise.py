@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.channels import Kind, at_outputs, at_signals, each_output, each_signal
+from engine.diagnose.effects.channels import Kind, at_outputs, at_signals, each_signal
 from engine.diagnose.effects.effect import (
     Effect,
     Split,
     change_output,
     change_step,
+    on_base,
     per_point,
 )
 from engine.diagnose.effects.kinds.measurement import observers
@@ -108,11 +109,13 @@ def _quantisation(setting: Setting, channel: str, name: str) -> Effect:
 
 
 def _relative(setting: Setting, channel: str, name: str) -> Effect:
-    """Noise that is a share of the reading, as data sheets say: 2 % of it.
+    """Noise that is a share of the reading, as data sheets say: 2 % of it. Or of a state, in a unit of time.
 
     The size is the square of that share, for the likelihood has no slope by the share where it is 0.
     """
     origin = Origin(setting, name, channel)
+    if channel in setting.states:
+        return _relative_in_time(setting, channel, name, origin)
 
     def extend(model: MixedModel) -> MixedModel:
         base = promote(model, observers(setting, model, channel))  # variances depend on these only
@@ -145,14 +148,53 @@ def _relative(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
+def _relative_in_time(setting: Setting, channel: str, name: str, origin: Origin) -> Effect:
+    """Process noise that is a share of its state, as of a population, a river or a price."""
+
+    def extend(model: MixedModel) -> MixedModel:
+        base = promote(model, _linear(model, channel))  # variances depend on these only
+        row, split = list(base.nonlinear).index(channel), Split(model)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            f, A, Q = base.transition(a, u, t, dt, own_base)
+            zero, ends = origin.of(own), [a[:, row]]
+            if base.continuous and not A[..., row, :].any():  # else its end is not known here
+                ends.append(f[:, row])
+            added = dt * own[0] * np.mean([(x - zero) ** 2 for x in ends], axis=0)
+            Q = per_point(Q, len(a), added)
+            Q[..., row, row] += added
+            return f, A, Q
+
+        return on_base(base, split, dynamics=dynamics)
+
+    unit, what = setting.per_time, "square of the noise's share of the state, per unit of time"
+    return Effect(
+        RELATIVE,
+        channel,
+        "noise",
+        f"process noise of {channel} in proportion to it",
+        f"variance of the noise of {channel} + {name} * {origin.text(channel)}^2 in each {setting.time_unit}",
+        extend=extend,
+        look_alikes={
+            "level": "does not change with the state",
+            "variance": "grows e-fold with a signal, not in proportion",
+            "heavy-tails": "comes at any state",
+        },
+        traits=Traits(noise_level=True, plainness=ANY - 1, contains=("level",)),
+        one_sided=True,
+        **origin.counted(Parameter(name, 0.0, unit, (0.0, np.inf), what)),
+    )
+
+
 def _varying(setting: Setting) -> list[str]:
-    """Outputs that have a zero and whose distance from it varies: a share of it is else a level."""
+    """Signals that have a zero and whose distance from it varies: a share of it is else a level."""
 
-    def varies(output: str) -> bool:
-        usual, most = (setting.distance(output, level) for level in (0.1, 0.9))
-        return setting.may_be_off(output) and most > VARIES * usual
+    def varies(signal: str) -> bool:
+        usual, most = (setting.distance(signal, level) for level in (0.1, 0.9))
+        return setting.may_be_off(signal) and most > VARIES * usual
 
-    return [output for output in each_output(setting) if varies(output)]
+    return [signal for signal in each_signal(setting) if varies(signal)]
 
 
 def _rounded(y: Array, variance: float) -> Array:
@@ -164,7 +206,8 @@ def _rounded(y: Array, variance: float) -> Array:
 def _variance(setting: Setting, channel: str) -> Effect | None:
     """``noise->signal``: the noise grows with |signal| (a nonlinear state or input) or with time.
 
-    That of an output may grow with a linear state that it reads: with the reading, as of many a sensor.
+    That of an output may grow with a linear state that it reads: with the reading, as of many a sensor. That of
+    a linear state may grow with the state itself, as of a population or a river.
     """
     target, _, signal = channel.partition("->")
     model = setting.model
@@ -221,7 +264,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
 def _signals(setting: Setting, target: str) -> list[str]:
     """What the noise of an output or a state may grow with."""
     model = setting.model
-    read = observers(setting, model, target) if target in model.outputs else ()
+    read = observers(setting, model, target) if target in model.outputs else (target,)
     linear = [name for name in read if name in model.linear]
     return [*model.nonlinear, *linear, *model.inputs, "time"]
 
@@ -275,7 +318,7 @@ def _each_correlation(setting: Setting) -> list[str]:
 
 KINDS: list[Kind] = [
     at_signals("level", _level),
-    at_outputs(RELATIVE, _relative, _varying),
+    at_signals(RELATIVE, _relative, _varying),
     at_outputs("quantisation", _quantisation, lambda setting: setting.resolution),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),
