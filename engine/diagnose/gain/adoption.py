@@ -94,19 +94,22 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
 
 
 def runs_worse(gain: Gain, others: Sequence[str], noises: Sequence[str]) -> str:
-    """A sentence where ``others`` named beside ``noises`` make the free run worse; else "".
+    """A sentence where ``others``, named beside ``noises`` or by themselves, make the free run worse; else "".
 
     Noise moves no free run, and what is gained one step ahead may be all its own. So the free run is what
-    speaks of the others.
+    speaks of the others. Without noise, too, a gain one step ahead alone does not speak for them: a wave that
+    follows a reading from row to row leads the states astray. There the run of another output may.
     """
-    worse = runs_changed(gain.outputs)[1]
-    if not (others and noises and worse) or gain.samples < TELLING_ROWS:
+    better, worse = runs_changed(gain.outputs)
+    if not (others and worse) or (better and not noises) or gain.samples < TELLING_ROWS:
         return ""
     stand = "stands" if len(others) == 1 else "stand"
+    by = f"by {enumerated([*noises])}, and" if noises else "from row to row alone:"
     return (
         f"On data that it has not seen the extension simulates {_names(worse)} worse: "
-        f"{enumerated(_runs(worse))}. What it predicts better may be by {enumerated([*noises])}, and "
-        f"{enumerated([*others])} {stand} in for something else: no cause is named."
+        f"{enumerated(_runs(worse))}. What it predicts better may be {by} "
+        f"{enumerated([*others])} {stand} in for something else"
+        f"{': no' if noises else ', so no'} cause is named."
     )
 
 
