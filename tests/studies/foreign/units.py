@@ -177,6 +177,7 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "cogging": y / k,
         "direct": y / x,
         "overflow": 1.0 / k,
+        "relative-noise": 1.0 if source in model.outputs else 1.0 / k,
         "play": x,
         "start": x,
         "slow-sensor": k,
@@ -199,7 +200,6 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "heavy-tails",
         "level",
         "variance",
-        "relative-noise",
         "correlation",
         "hold",
     ):
