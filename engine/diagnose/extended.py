@@ -55,7 +55,7 @@ def in_the_library(d: Diagnosis) -> str:
 
 
 def is_registered(d: Diagnosis) -> bool:
-    """Whether the library knows the diagnosed model by its name."""
+    """Whether the library knows the diagnosed model by its name, wherever it is asked: not from a file here."""
     name = d.model.name
-    known = name in registry.model_names()
+    known = name in registry.model_names() and registry.source_of(name) is None
     return known and registry.get_model(name).dynamics is d.model.dynamics

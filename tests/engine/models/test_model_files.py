@@ -1,7 +1,10 @@
 """Models from files: found, checked, read again when they change, forgotten when they go."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from engine.diagnose.extended import in_the_library
 from engine.errors import ModelError, OptionError
 from engine.models import registry
 from engine.models.files import model_from, read_models
@@ -61,6 +64,8 @@ def test_one_is_named_and_the_only_one_need_not_be(tmp_path):
 def test_registered_ones_are_read_again_when_their_file_changes(tmp_path):
     path = write(tmp_path, "valve")
     assert registry.register_files([f"{path}:mine"]) == ["valve"]
+    found = SimpleNamespace(model=registry.get_model("valve"), causes=[], substeps=1)
+    assert "get_model" not in in_the_library(found)  # elsewhere no model is called so
     assert "valve" in registry.model_names()
     before, first = registry.get_model("valve"), registry.source_of("valve")
     assert registry.get_model("valve") is before
