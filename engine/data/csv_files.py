@@ -25,6 +25,7 @@ FIRST = (
 )
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # or three decimals
+CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")  # in no text
 LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
 _TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mark left open?"
 
@@ -35,15 +36,7 @@ def read_csv(data: bytes, file: str) -> Table:
     Where commas do not part cells they may be those of decimals. Units may have a second line of their own, and
     the header may be the last of the # lines.
     """
-    wide = data.startswith((BOM_UTF16_LE, BOM_UTF16_BE))  # as Excel's "Unicode text" does
-    try:
-        text = data.decode("utf-16" if wide else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        kind = "UTF-16" if wide else "UTF-8"
-        raise SeriesError(
-            f"{file}, line {line}: not {kind} text; save the file as UTF-8"
-        ) from error
+    text, note = _decoded(data, file)
     if "\0" in text:
         raise SeriesError(f"{file} is not a text file; a CSV is needed")
     lines = text.splitlines()
@@ -120,6 +113,7 @@ def read_csv(data: bytes, file: str) -> Table:
         rows = [[_pointed(cell) for cell in row] for row in rows]
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    table.notes += [note] if note else []
     farther = commented and lines_above and lines_above[-1].removeprefix("#").strip() != commented
     if farther or (commented and delimiter != "," and " ".join(names) == commented):
         # so many words may be any comment
@@ -127,6 +121,28 @@ def read_csv(data: bytes, file: str) -> Table:
     table.hold = hold[-1] if hold else None
     table.time_unit = time_unit[-1] if time_unit else None
     return table
+
+
+def _decoded(data: bytes, file: str) -> tuple[str, str]:
+    """The text of a file, and a note where its encoding is a guess: that of older programs on Windows.
+
+    There only names and units can be wrong: numbers are written in ASCII.
+    """
+    wide = data.startswith((BOM_UTF16_LE, BOM_UTF16_BE))  # as Excel's "Unicode text" does
+    try:
+        return data.decode("utf-16" if wide else "utf-8-sig"), ""
+    except UnicodeDecodeError as error:
+        try:
+            text = "\0" if wide else data.decode("cp1252")
+        except UnicodeDecodeError:
+            text = "\0"
+        if not CONTROL.search(text):
+            return text, "not UTF-8 text, but read as such of Windows (cp1252)."
+        line = data.count(b"\n", 0, error.start) + 1
+        kind = "UTF-16" if wide else "UTF-8"
+        raise SeriesError(
+            f"{file}, line {line}: not {kind} text; save the file as UTF-8"
+        ) from error
 
 
 def _delimiter(lines: Sequence[str]) -> str:

@@ -237,7 +237,7 @@ BAD = {
     "bomb": (BASE, "a.npz", npz(y=np.zeros(2_000_000)), "unpacks to more"),
     "mat bomb": (BASE, "a.mat", mat(y=np.zeros(2_000_000)), "unpacks to more"),
     "text": (BASE, "a.csv", csv([["y"], ["1"], ["x"]]), "line 3, column 'y'"),
-    "encoding": (BASE, "a.csv", b"y\n1\n\xff\n", "UTF-8"),
+    "encoding": (BASE, "a.csv", b"y\n1\n\x81\n", "UTF-8"),
     "path": (BASE, "../../etc/passwd", b"root", "must be .csv"),
     "no column": (BASE, "a.csv", csv([["q", "r"], ["1", "1"]]), "no column is channel 'y'"),
     "no such column": (BASE | {"series": [FILE | {"y": ["q"]}]}, "a.csv", b"y\n1\n2\n", "no column 'q'"),

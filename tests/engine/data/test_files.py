@@ -139,7 +139,9 @@ def test_semicolons_tabs_comments_quotes_and_byte_order_mark():
         (b"y,y\n1,2\n", {}, r"line 1: two columns are named 'y'"),
         (b"", {}, r"a.csv is empty"),
         (b"u,y\n", {}, r"a.csv has a header and no rows"),
-        (b"u,y\n1,2\n3,\xff\n", {}, r"line 3: not UTF-8 text"),
+        (b"u,y\n1,2\n3,\x81\n", {}, r"line 3: not UTF-8 text"),
+        (b"u,y\n1,2\n3,\xff\x01\n", {}, r"line 3: not UTF-8 text"),
+        (b"u,y\n1,2\n3,\xff\n", {}, r"line 3, column 'y': '\u00ff' is not a number"),
         (b"u,y\n\0", {}, r"not a text file"),
         (b"a,b\n1,2\n", {}, r"no column is named y.*There are 'a', 'b'"),
         (b"u,y\n1,2\n", {"y": ["z"]}, r"no column 'z' \(asked for as y\); there are 'u', 'y'"),
@@ -690,6 +692,15 @@ def test_names_of_rows_have_no_name_of_their_own(tmp_path):
     logger = of(tmp_path, ",Station 12\nt,y\n0,1\n1,2\n")
     with pytest.raises(SeriesError, match="column 1 has no name; if line 2 has the names"):
         read_series(logger)
+
+
+def test_a_logger_that_writes_as_old_windows_does_is_read(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes("t;Temperatur [°C];Öffnung [µm]\n0;1,5;2\n1;2,5;3\n".encode("cp1252"))
+    with pytest.warns(ReadingWarning, match="a.csv: not UTF-8 text, but read as such of Windows"):
+        series = read_series(path, y=["Temperatur"], u=["Öffnung"])
+    assert series.units == {"Temperatur": "°C", "Öffnung": "µm"}
+    assert series.y.ravel().tolist() == [1.5, 2.5]
 
 
 def test_empty_columns_at_the_end_and_utf_16(tmp_path):
