@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.data.by_column import names_records, parts_of
-from engine.data.clock import times_in, times_of
+from engine.data.clock import converted, times_in, times_of
 from engine.data.files import ENDINGS, READERS
 from engine.data.stamps import candidates, counts, holds_dates
 from engine.data.table import Table
@@ -54,13 +54,14 @@ def preview(
         raise invalid("by", f"there is no column '{by}'; there are {table.there()}")
     if time and time not in table.columns:
         raise invalid("t", f"there is no column '{time}'; there are {table.there()}")
-    unit = unit or table.time_unit or clock_of(time or "") or SECOND
+    told = table.time_unit or clock_of(time or "")
+    unit = unit or told or SECOND
     return PreviewOut(
         file=filename,
         rows=longest,
-        dt=table.dt,
+        dt=converted(table.dt, told or unit, unit)[0],
         time_unit=unit,
-        time=_time(table, time, unit, by) if time else None,
+        time=_time(table, time, told or unit, unit, by) if time else None,
         columns=[_column(table, name, unit) for name in list(table.columns)[:COLUMNS_SHOWN]],
         ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS_SHOWN:])],
     )
@@ -78,13 +79,14 @@ def _read(data: bytes, filename: str, max_values: int) -> Table:
         raise invalid("file", str(error)) from None
 
 
-def _time(table: Table, name: str, unit: str, by: str | None) -> TimeOut:
-    """The times as a job has them; what it would be refused for is the problem."""
+def _time(table: Table, name: str, told: str, unit: str, by: str | None) -> TimeOut:
+    """The times as a job has them; what it would be refused for is the problem. The file counts ``told``."""
     values, problem, part = np.zeros(0), None, table
     try:
         each = []
         for part in parts_of(table, [by]) if by else [table]:
             stamps = part.times(name)
+            stamps = stamps if isinstance(stamps, list) else converted(stamps, told, unit)[0]
             each.append(times_of(stamps, None, len(stamps), unit))
         values = each[0]
     except SeriesError as error:

@@ -78,16 +78,37 @@ def about_zone(date: Any) -> str:
     )
 
 
-def _seconds_of(unit: str) -> float:
-    """How long a unit of time is. Raises SeriesError where that is not known."""
+def _size(unit: str) -> float | None:
+    """How many seconds a unit of time has; None where that is not known."""
     known = meanings(clock_of(unit) or unit)  # hours are h
-    sizes = [size for size, powers in known if powers == {"s": 1.0}]
-    if not sizes:
+    return next((size for size, powers in known if powers == {"s": 1.0}), None)
+
+
+def _seconds_of(unit: str) -> float:
+    """How many seconds a unit of time has. Raises SeriesError where that is not known."""
+    size = _size(unit)
+    if size is None:
         raise SeriesError(
             f"t are dates and time_unit is '{unit}', of which it is not known how many seconds it has: give "
             "numbers, or a time_unit such as s, min, h or day"
         )
-    return sizes[0]
+    return size
+
+
+def converted(times: Any, told: str, unit: str) -> tuple[Any, str]:
+    """Numbers that count ``told``, if there are any, as ones that count ``unit``, and what is to be said of it.
+
+    Where it is not known how long one of the two is they stay as they are.
+    """
+    if times is None:
+        return None, ""
+    own, wanted = _size(told), _size(unit)
+    if own == wanted and (own is not None or told == unit):
+        return times, ""
+    if own is None or wanted is None:
+        return times, f"times count {told} by the file, and are taken for {unit}, as asked."
+    said = f"times are converted from {told} to {unit}."
+    return (times / (wanted / own) if wanted > own else times * (own / wanted)), said
 
 
 def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] = ()) -> Array:

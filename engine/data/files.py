@@ -18,7 +18,8 @@ Which columns are which channels:
   it is 1; a :class:`engine.ReadingWarning` names a column that looks like times, if there is one;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
   ``time_unit`` in .mat and .npz, a line ``# time unit: min`` at the head of a CSV, or the name of the column of
-  times, such as ``time [min]`` or ``year``; else seconds;
+  times, such as ``time [min]`` or ``year``; else seconds. Where the file says another one than is given, its
+  times are converted, which a :class:`engine.ReadingWarning` says;
 - ``hold`` says what inputs do between samples (see :class:`engine.Series`); left out, what the file says: a
   text ``hold`` in .mat and .npz, a line ``# hold: foh`` at the head of a CSV; else they are held.
 
@@ -40,6 +41,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.array_files import read_mat, read_npz
 from engine.data.by_column import gather, names_and_times, names_records, parts_of
+from engine.data.clock import converted
 from engine.data.csv_files import read_csv
 from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward
 from engine.data.series import Series
@@ -188,7 +190,13 @@ def series_from(
     if t is not None:
         t = _lookup(table, "t", t)[0]
         times = table.times(t)
-    unit = time_unit or table.time_unit or clock_of(t or "")
+    told = table.time_unit or clock_of(t or "")
+    unit = (time_unit or told).strip()
+    if told and not isinstance(times, list):
+        times, said = converted(times, told, unit)
+        if dt is None and step is not None:
+            step, said = converted(step, told, unit)
+        table.notes += [said] if said else []
     channels, inputs = _stacked(table, "y", y_columns), _stacked(table, "u", u_columns)
     try:
         series = Series(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from engine.data.clock import converted
 from engine.data.series import Series
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND, clock_of, named_with_unit
@@ -34,7 +35,8 @@ def from_frame(
         ``pressure``), in ``table.attrs["units"]`` by column, or as given by column. None: there are none.
     time_unit : str, optional
         The unit of times; with ``units`` also told by ``table.attrs["time_unit"]`` or by the name of the column
-        or index of times (``time [min]``, ``year``); else seconds. Dates and durations are in seconds.
+        or index of times (``time [min]``, ``year``) and converted to the one that is given; else seconds.
+        Dates and durations are in seconds.
     **more
         ``dt``, ``hold`` and the others of :class:`engine.Series`; ``extra`` as column names.
 
@@ -68,9 +70,13 @@ def from_frame(
     if clock is not None:
         arguments["t"] = table[clock]
     dated = _is_dated(table if clock is None else table[clock])
-    if time_unit is None and units is not None and not dated:
+    if units is not None and not dated:
         named = str(clock if clock is not None else table.index.name or "")
-        time_unit = table.attrs.get("time_unit") or clock_of(named)
+        told = table.attrs.get("time_unit") or clock_of(named)
+        times = table.index if clock is None else table[clock]
+        if told and time_unit and told != time_unit:
+            arguments["t"] = converted(times.to_numpy(), told, time_unit)[0]
+        time_unit = time_unit or told
     return Series(
         **arguments,
         time_unit=time_unit or SECOND,

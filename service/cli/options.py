@@ -76,8 +76,8 @@ TimeUnit = Annotated[
     str | None,
     typer.Option(
         "--time-unit", metavar="UNIT",
-        help="What times count, such as min or year: changes printed units and no number.  [as the file "
-        "says, else s]",
+        help="What times count, such as min or year. Where the file says another unit they are converted, else "
+        "it changes printed units and no number.  [as the file says, else s]",
     ),
 ]  # fmt: skip
 Hold = Annotated[

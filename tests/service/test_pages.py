@@ -110,6 +110,10 @@ def test_preview_reads_times_as_a_job_does(client):
     assert (found["time"]["step"], found["time_unit"]) == (pytest.approx(1.0 / 6.0), "min")
     found = look(client, "a.csv", f"time,level\n{rows}", t="time", time_unit="year").json()
     assert "of which it is not known how many seconds" in found["time"]["problem"]
+    found = look(
+        client, "a.csv", "t [ms],level\n0,1\n20,2\n40,1\n", t="t [ms]", time_unit="s"
+    ).json()
+    assert (found["time"]["last"], found["time_unit"]) == (0.04, "s")  # as a job converts them
 
 
 def test_preview_says_what_is_wrong_with_dates(client):

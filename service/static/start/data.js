@@ -23,7 +23,7 @@ export class DataCard {
       this.showFacts();
       this.draw();
     });
-    by("time-unit").addEventListener("change", () => (this.dated() ? this.look(by("time-unit").value.trim()) : this.showChannels()));
+    by("time-unit").addEventListener("change", () => (this.files.length && by("time").value ? this.look(by("time-unit").value.trim() || "s") : this.showChannels()));
     this.watchDrop(by("drop"));
   }
 
@@ -114,12 +114,6 @@ export class DataCard {
     if (dt !== null) by("dt").value = "";
     by("dt").placeholder = String(dt ?? 1);
     by("time-unit").value = this.files[0].preview.time_unit;
-  }
-
-  // Whether the times are dates, which are counted in the unit.
-  dated() {
-    const name = by("time").value;
-    return Boolean(name && this.files.length && this.columns().find((one) => one.name === name)?.dates);
   }
 
   // The time step: as typed, else as the file has it, else 1.
@@ -223,7 +217,7 @@ export class DataCard {
     const other = clock === "s" ? undefined : this.units.find(([, text]) => /(^|[^\p{L}])(s|Hz)(?!\p{L})/u.test(text));
     by("time-facts").className = time?.problem || other ? "field-error" : "hint";
     by("time-facts").textContent = time?.problem ? `Column '${time.column}': ${time.problem}`
-      : other ? `Times are in ${clock}, and the model has ${other[0]} in ${other[1]}: its numbers are right only if its equations convert. Else convert the times to s.`
+      : other ? `Times are in ${clock}, and the model has ${other[0]} in ${other[1]}: its numbers are right only if its equations convert. Else write s as their unit, where the file says ${clock} or has dates, or convert them.`
       : !time ? this.aboutStep(clock)
       : `${stamp(time.first, time)} to ${stamp(time.last, time)} ${clock}, step ${number(time.step)} ${clock}${time.regular ? "" : " (median; not regular)"}`;
   }

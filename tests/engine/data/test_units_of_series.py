@@ -9,7 +9,7 @@ import pytest
 import engine
 from engine.data import nile
 from engine.data.files import write_series
-from engine.errors import OptionError, SeriesError
+from engine.errors import OptionError, ReadingWarning, SeriesError
 from engine.statespace.clock import about_clock
 from engine.units import alike, clock_of, differ, frequency_in, is_per, named_with_unit
 from tests.engine.clear_step import clear_flows
@@ -67,11 +67,38 @@ def test_the_unit_of_time_is_kept_in_files(tmp_path, ending):
     write_series(series, tmp_path / f"a.{ending}")
     read = engine.Series.read(tmp_path / f"a.{ending}")
     assert read.time_unit == "day"
-    assert engine.Series.read(tmp_path / f"a.{ending}", time_unit="h").time_unit == "h"
+    with pytest.warns(ReadingWarning, match="converted from day to h"):
+        hours = engine.Series.read(tmp_path / f"a.{ending}", time_unit="h")
+    assert (hours.time_unit, hours.t.tolist()) == ("h", [0.0, 12.0, 24.0])
     write_series(engine.Series([1.0, 2.0]), tmp_path / f"s.{ending}")
     assert engine.Series.read(tmp_path / f"s.{ending}").time_unit == "s"
     if ending == "csv":
         assert "unit" not in (tmp_path / "s.csv").read_text()
+
+
+@pytest.mark.parametrize("column", ["t [ms]", "time_ms", "t,ms"])
+def test_times_of_another_unit_than_asked_for_are_converted(tmp_path, column):
+    """A label alone made a logger's milliseconds seconds, and every rate wrong by a thousand."""
+    name, _, below = column.partition(",")
+    unit = f"{below},V\n" if below else ""
+    file = tmp_path / "a.csv"
+    file.write_text(f"{name},y\n{unit}0,1\n20,2\n60,4\n")
+    assert engine.Series.read(file).time_unit == "ms"
+    with pytest.warns(ReadingWarning, match="times are converted from ms to s"):
+        series = engine.Series.read(file, time_unit="s")
+    assert (series.time_unit, series.t.tolist()) == ("s", [0.0, 0.02, 0.06])
+    with pytest.warns(
+        ReadingWarning, match="times count ms by the file, and are taken for fortnight"
+    ):
+        assert engine.Series.read(file, time_unit="fortnight").t.tolist() == [0.0, 20.0, 60.0]
+
+
+def test_a_stored_step_of_another_unit_than_asked_for_is_converted(tmp_path):
+    np.savez(tmp_path / "a.npz", y=[1.0, 2.0, 4.0], dt=30.0, time_unit="min")
+    with pytest.warns(ReadingWarning, match="from min to h"):
+        assert engine.Series.read(tmp_path / "a.npz", time_unit="h").dt == 0.5
+    with pytest.warns(ReadingWarning, match="from min to s"):
+        assert engine.Series.read(tmp_path / "a.npz", time_unit="s").dt == 1800.0
 
 
 def test_the_nile_is_in_years():
@@ -138,6 +165,7 @@ def test_units_from_attrs_and_as_given(table):
         table, ["pressure"], units={"pressure": "MPa"}, time_unit="day"
     )
     assert (given.units, given.time_unit) == ({"pressure": "MPa"}, "day")
+    assert given.t.tolist() == pytest.approx([0.0, 0.5 / 24.0, 1.5 / 24.0])  # attrs count hours
     with pytest.raises(SeriesError, match="units: there is no column 'p'"):
         engine.Series.from_frame(table, ["pressure"], units={"p": "MPa"})
     with pytest.raises(SeriesError, match="no column 'p'; there are pressure, "):
