@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter
 
-from engine.data.given import check_enough
+from engine.data.given import check_apart, check_enough, same_clock
 from engine.data.joined import in_turn, longest_of, overlapping
 from engine.data.series import Series
 from engine.design import Bounds
@@ -99,6 +99,12 @@ def prepare(request: Request) -> Prepared:
             series = _inputs(request, model)
         case _:
             series = _all_series(request.series, model, "series")
+    if isinstance(request, EstimateRequest | DiagnoseRequest):
+        with _at("series"):
+            check_apart(series)
+        with _at("test" if test else "series"):
+            same_clock([*series, *test])
+            check_apart(series, test)
     if isinstance(request, EstimateRequest):
         with _at("series"):
             check_enough(series, len(model.free_indices(free)))

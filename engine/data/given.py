@@ -83,3 +83,26 @@ def same_clock(all_series: Sequence[Series]) -> None:
                 f"times of one series are in {all_series[0].time_unit}, of another in {one.time_unit}; all "
                 "need the same unit"
             )
+
+
+def check_apart(records: Sequence[Series], tests: Sequence[Series] = ()) -> None:
+    """Raise SeriesError where one is another once more: it would count twice, or a test would be none."""
+    every, n = [*records, *tests], len(records)
+    for j, one in enumerate(every):
+        for k, other in enumerate(every[:j]):
+            if not _same(one, other):
+                continue
+            if j < n or k >= n:
+                what, first = ("records", 0) if j < n else ("tests", n)
+                raise SeriesError(
+                    f"{what} {k - first} and {j - first} are the same: give each once"
+                )
+            raise SeriesError(
+                f"test is record {k}, which the model is fitted to: give data that it has not seen, or none"
+            )
+
+
+def _same(one: Series, other: Series) -> bool:
+    """Whether readings and inputs are the same numbers."""
+    pairs = ((one.y, other.y), (one.u, other.u))
+    return all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.given import as_series_list, same_clock
+from engine.data.given import as_series_list, check_apart, same_clock
 from engine.data.joined import in_turn, longest_of, overlapping, together
 from engine.data.series import Series
 from engine.diagnose.effects.clock import reads_no_clock
@@ -159,7 +159,7 @@ def records_of(
                 f"{', '.join(names) or 'none'}; all records need the same"
             )
     model = with_inputs(model, names)
-    _check_apart([*given, *tests], len(given))
+    check_apart(given, tests)
     back = () if tests else whole_records(given, held_out)
     tests += [given[k] for k in back]
     given, moved = on_one_clock(model, given)
@@ -259,26 +259,3 @@ def check_searched(series: Series, others: Sequence[Series] = ()) -> None:
                 f"output '{name}' reads {seen[0]:g} throughout: a dead channel carries no information; "
                 "give its readings as NaN, or leave the output out of the model"
             )
-
-
-def _check_apart(every: Sequence[Series], n: int) -> None:
-    """Raise SeriesError where one of the records, of which the first ``n`` are fitted, is another once more."""
-    for j, one in enumerate(every):
-        for k, other in enumerate(every[:j]):
-            if not _same(one, other):
-                continue
-            if j < n or k >= n:
-                what, first = ("records", 0) if j < n else ("tests", n)
-                raise SeriesError(
-                    f"{what} {k - first} and {j - first} are the same: give each once"
-                )
-            raise SeriesError(
-                f"test is record {k}, which the model is fitted to: give data that it has not seen, or none, "
-                "and a part of the records is held out; held_out=0 searches all of it"
-            )
-
-
-def _same(one: Series, other: Series) -> bool:
-    """Whether readings and inputs are the same numbers."""
-    pairs = ((one.y, other.y), (one.u, other.u))
-    return all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)

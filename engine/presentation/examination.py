@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.given import as_series_list, same_clock
+from engine.data.given import as_series_list, check_apart, same_clock
 from engine.data.series import Series
 from engine.diagnose.symptoms.symptoms import find_symptoms
 from engine.errors import EngineError, ModelError
@@ -115,7 +115,8 @@ def examine(
     OptionError
         An option is not known or out of its range; ``field`` names it.
     SeriesError
-        Channels or units are not the model's, or nothing was measured; names the channel.
+        Channels or units are not the model's, or nothing was measured; names the channel. Or a test is one of
+        the series.
     """
     model = found.model
     if not isinstance(model, MixedModel):
@@ -125,6 +126,7 @@ def examine(
     all_series = as_series_list(series, model)
     tests = [] if test is None else as_series_list(test, model, "test")
     same_clock([*all_series, *tests])
+    check_apart(all_series, tests)
     check_seed(seed)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     states = [

@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from engine.data.given import check_apart, same_clock
 from engine.data.series import Series
 from engine.diagnose.records import on_one_clock
 from engine.statespace.model import MixedModel, Theta
@@ -69,6 +70,8 @@ class Experiment(Run):
             shown.warn(note)
         n = len(self.data)
         given, test = [*chain(*every[:n])], [*chain(*every[n:])]
+        same_clock([*given, *test])
+        check_apart(given, test)
         if self.effects:
             given, _ = on_one_clock(base, given)
         model = with_effects(base, self.effects, given)

@@ -49,6 +49,8 @@ WRONG = {
     "a value twice": (("fit", "flows.csv", *LEVEL, "--set", "q=1", "--set", "q=2"), "--set q=2: q is given twice; leave one of them out"),
     "a channel twice": (("fit", "flows.csv", *LEVEL, "--map", "flow=flow", "--map", "flow=year"), "--map flow=year: flow is given twice"),
     "a file twice": (("fit", "flows.csv", "short.csv", "./flows.csv", *LEVEL), "the same file is named twice"),
+    "a test that was fitted": (("fit", "flows.csv", *LEVEL, "--test", "again.csv"), "test is record 0, which the model is fitted to"),
+    "a test on another clock": (("fit", "flows.csv", *LEVEL, "--test", "hours.csv"), "times of one series are in s, of another in h"),
     "unknown channel": (("fit", "flows.csv", *LEVEL, "--map", "rain=flow"), "--map rain=flow: model 'local-level' has no output or input 'rain'; it has flow"),
     "unknown column": (("fit", "flows.csv", *LEVEL, "--map", "flow=rain"), "--map flow=rain: flows.csv has no column 'rain'; there are year, flow"),
     "no column": (("fit", "rain.csv", "-m", "mine.py"), "rain.csv: no column for the output 'reading'; say which it is with --map reading=COLUMN. There are year, flow, rain"),
@@ -95,6 +97,8 @@ def folder(tmp_path):
     (tmp_path / "flows.csv").write_text(
         "year,flow\n" + "".join(f"{k},{k % 7}\n" for k in range(40))
     )
+    (tmp_path / "again.csv").write_text((tmp_path / "flows.csv").read_text())
+    (tmp_path / "hours.csv").write_text("t [h],flow\n0,1\n1,2\n3,1\n")
     (tmp_path / "short.csv").write_text("flow\n1\n2\n3\n")
     (tmp_path / "text.csv").write_text("flow\n1\nwet\n")
     (tmp_path / "noise.csv").write_bytes(bytes(range(128, 256)))

@@ -18,6 +18,7 @@ def change(**more):
     return tanks() | more
 
 
+ENOUGH = {"y": [[5.0 + k] for k in range(20)], "u": [[3.2]] * 20, "dt": 4.0}
 BAD = {
     "no kind": (change(kind=None), "kind", None, "kind"),
     "unknown kind": (change(kind="guess"), "kind", None, "diagnose"),
@@ -63,6 +64,13 @@ BAD = {
     "nothing but one value": (
         {"kind": "diagnose", "model": "local-level", "series": [{"y": [[1.0]] * 40}]},
         "series[0].y", None, "'flow' reads 1 throughout",
+    ),
+    "the data as a test": (
+        change(series=[ENOUGH], test=ENOUGH), "test", None, "test is record 0, which the model is fitted to",
+    ),
+    "data twice": (change(series=[ENOUGH, ENOUGH]), "series", None, "records 0 and 1 are the same"),
+    "a test on another clock": (
+        change(series=[ENOUGH], test=ENOUGH | {"time_unit": "min"}), "test", None, "in s, of another in min",
     ),
     "no length": ({"kind": "simulate", "model": "linear-2"}, "options.samples", None, "length"),
     "two lengths": (
