@@ -26,6 +26,11 @@ _CLOCKS = {
     **{word + end: word for word in ("day", "week", "month", "year") for end in ("", "s")},
 }
 _CLOCK = re.compile(r"(?:(?:t|time)[ _]*/?)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
+# Behind the name of whatever else has the times: ``Zeit [ms]``, ``elapsed_ms``; ``day_of_year`` counts days.
+_BEHIND_TIMES = re.compile(
+    r".*[^\W_][_/ ]+([nuµm]?s|secs?|mins?|hr?s?|(?:second|minute|hour|day|week|year)s)",
+    re.IGNORECASE,
+)
 _SPELLED = "|".join(_CLOCKS)
 # Without brackets ``t_min``, ``t_h`` and ``T`` may as well be temperatures. static/start/match.js has the same.
 TIMES = re.compile(
@@ -87,9 +92,10 @@ _PREFIXED = {
 
 
 def clock_of(column: str) -> str:
-    """The unit of time that the name of a column tells, ``time [min]``, ``t_ms``, ``year``; "" if none."""
-    found = _CLOCK.fullmatch(column.strip())
-    word = found[1].lower() if found else ""
+    """The unit that the name of a column of times tells, ``Zeit [min]``, ``t_ms``, ``year``; "" if none."""
+    text = column.strip()
+    found = _CLOCK.fullmatch(text) or _BEHIND_TIMES.fullmatch(text)
+    word = (named_with_unit(text)[1] or (found[1] if found else "")).lower()
     return _CLOCKS[word] or word if word in _CLOCKS else ""
 
 

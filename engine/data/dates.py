@@ -14,24 +14,35 @@ SLASHED = re.compile(
     r"(\d{1,2})/(\d{1,2})/(\d{4})(?:[ T,]+(\d{1,2})(:[0-5]\d(?::[0-5]\d(?:[.,]\d+)?)?)(?: ?([AP])M)?)?",
     re.IGNORECASE,
 )
+NAMED = re.compile(
+    r"(\d{1,2})[-./ ]+([a-z]{3})[a-z]*[-./ ]+(\d{4})(?:[ T]+(\d{1,2})(:[0-5]\d.*))?", re.IGNORECASE
+)
+MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+ZONE = re.compile(r"\s*(?:UTC|GMT)$|\s+(?=[+-]\d\d:?\d\d$)")  # set apart, or by its name
 EVEN = 0.9  # the shortest step as a share of the longest, from which on steps are even
 DAY_FIRST, MONTH_FIRST = "day/month/year", "month/day/year"
 
 
 def date_of(text: str) -> datetime | None:
-    """A date such as 2024-03-01T13:45:00+01:00, 2024/03/01 or 1.3.2024 13:45; None of others and of numbers."""
+    """A date such as 2024-03-01T13:45:00+01:00, 2024/03/01, 1.3.2024 13:45 or 01-Mar-2024; None of others.
+
+    A number is none.
+    """
     try:
         float(text)
     except ValueError:
         pass
     else:
         return None
-    text = text.strip()
+    text = ZONE.sub(lambda found: "+00:00" if found[0].strip() else "", text.strip())
     if dotted := DOTTED.fullmatch(text):
         day, month, year, hour, rest = dotted.groups()
         return _date(year, month, day, hour, rest)
     if slashed := YEAR_FIRST.fullmatch(text):
         return _date(*slashed.groups())
+    if (named := NAMED.fullmatch(text)) and named[2].lower() in MONTHS:
+        day, month, year, hour, rest = named.groups()
+        return _date(year, str(1 + MONTHS.index(month.lower())), day, hour, rest)
     try:
         return datetime.fromisoformat(text)
     except ValueError:

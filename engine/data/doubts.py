@@ -19,6 +19,8 @@ DAYS = (30_000.0, 60_000.0)
 USUAL_STEPS = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1800, 3600)
 STEP_ERROR = 2e-4  # of the mean step, as days are rounded
 Whole = NDArray[np.int64]
+SINCE_1970 = (3e8, 4.1e9)  # seconds: 1979 to 2099
+PARTS = {1e3: "ms", 1e6: "us", 1e9: "ns"}  # of a second
 YEARS = (1800, 2200)  # of dates in a number
 
 
@@ -59,13 +61,25 @@ def days_of_spreadsheet(times: Array) -> str:
     )
 
 
+def since_1970(times: Array) -> str:
+    """A note of numbers that look like parts of seconds since 1970; "" where they do not."""
+    for parts, unit in PARTS.items():
+        if SINCE_1970[0] <= times[0] / parts < times[-1] / parts <= SINCE_1970[1]:
+            return (
+                f"times from {times[0]:.10g} to {times[-1]:.10g} look like {unit} since 1970, and count as "
+                f"seconds: if they are, name their column 'time [{unit}]'; with the time unit s they are then "
+                "converted."
+            )
+    return ""
+
+
 def digits_of_a_clock(times: Array) -> str:
     """A note of numbers that are hours and minutes, or a date, in digits: 1430, 143000, 20240301 or 202403.
 
     As numbers they jump from 1459 to 1500. Told where they go on by their usual step over such places, read as
     what they are, and nowhere by it only as numbers; dates of several months need no usual step.
     """
-    if len(times) < 3 or not 0.0 <= times[0] < times[-1] < 1e8 or (times != np.round(times)).any():
+    if len(times) < 3 or not 0.0 <= times[0] < times[-1] < 1e15 or (times != np.round(times)).any():
         return ""
     whole = times.astype(np.int64)
     for read, example, meant in _IN_DIGITS:
@@ -74,7 +88,7 @@ def digits_of_a_clock(times: Array) -> str:
             continue
         as_number, as_meant = (_usual(steps) for steps in (np.diff(whole), np.diff(counted)))
         carried = int(np.sum(as_meant & ~as_number))
-        dated = read is _days and np.unique(whole // 100).size > 1
+        dated = read is _stamps or (read is _days and np.unique(whole // 100).size > 1)
         if dated or (carried > 1 and not (as_number & ~as_meant).any()):
             return (
                 f"times from {whole[0]} to {whole[-1]} look like {meant}, as {example}, and count as plain "
@@ -120,8 +134,19 @@ def _days(whole: Whole) -> Whole | None:
         return None
 
 
+def _stamps(whole: Whole) -> Whole | None:
+    """Seconds of 202403011430 or 20240301143000; None of other numbers."""
+    whole = whole * (100 if whole[0] < 10**12 else 1)
+    hour, minute, second = (whole // 100**k % 100 for k in (2, 1, 0))
+    days = _days(whole // 10**6)
+    if days is None or hour.max() >= 24 or max(minute.max(), second.max()) >= 60:
+        return None
+    return np.asarray(86400 * days + 3600 * hour + 60 * minute + second)
+
+
 _IN_DIGITS: tuple[tuple[Callable[[Whole], Whole | None], str, str], ...] = (
     (_clock, "1430 for 14:30 or 143000 for 14:30:00", "the time of day"),
     (_months, "202403 for March 2024", "months"),
     (_days, "20240301 for 2024-03-01", "dates"),
+    (_stamps, "202403011430 for 2024-03-01 14:30", "dates"),
 )

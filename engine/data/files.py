@@ -7,8 +7,8 @@ Which columns are which channels:
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
 - ``extra`` are columns that the model does not use, in the same way: a diagnosis tests whether they belong;
-- ``t`` names the column of time stamps: numbers, dates such as ``2024-03-01 13:45:00`` or ``1.3.2024 13:45``,
-  or hours, minutes and seconds that go on after a day, ``25:30:00``; left out, a column
+- ``t`` names the column of time stamps: numbers, dates such as ``2024-03-01 13:45:00``, ``1.3.2024 13:45``
+  or ``01-Mar-2024``, or hours, minutes and seconds that go on after a day, ``25:30:00``; left out, a column
   named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``), unless
   it is one of ``y`` or ``u``. ``T`` is none, which may be a temperature. Where there are several,
   :class:`engine.ReadingWarning` says which it is. Where none is called so and no step is given, the only column
@@ -43,7 +43,7 @@ from engine.data.array_files import read_mat, read_npz
 from engine.data.by_column import gather, names_and_times, names_records, parts_of
 from engine.data.clock import converted
 from engine.data.csv_files import read_csv
-from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward
+from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward, since_1970
 from engine.data.series import Series
 from engine.data.stamps import candidates, like_times
 from engine.data.table import Table
@@ -218,8 +218,10 @@ def series_from(
     if isinstance(times, list):
         table.notes += [table.with_lines(said) for said in (set_forward(times),) if said]
     elif times is not None:
-        days = "" if unit else days_of_spreadsheet(series.t)
-        table.notes += [said for said in (days, digits_of_a_clock(series.t)) if said]
+        counted = (days_of_spreadsheet, since_1970) if unit in ("", SECOND) else ()
+        table.notes += [
+            said for doubt in (*counted, digits_of_a_clock) if (said := doubt(series.t))
+        ]
     return series
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.clock import elapsed, times_in
 from engine.data.dates import date_of, order_of, with_slashes
-from engine.data.table import TIME_OF_DAY, Table
+from engine.data.table import LIKE_DATE, TIME_OF_DAY, Table
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
 
@@ -52,6 +52,14 @@ def _begins_with_hours(table: Table, name: str) -> bool:
     return elapsed(first) is not None or TIME_OF_DAY.fullmatch(first.strip()) is not None
 
 
+def _may_be_dates(table: Table, name: str) -> bool:
+    """Whether a column of words may hold dates that are not read: no two of them are the same."""
+    cells = [str(cell).strip() for cell in table.columns[name]]
+    return LIKE_DATE.fullmatch(_first_cell(table, name).strip()) is not None and len(
+        set(cells)
+    ) == len(cells)
+
+
 def _first_cell(table: Table, name: str) -> str:
     values = table.columns[name]
     return "" if isinstance(values, np.ndarray) else next(filter(str.strip, values), "")
@@ -73,6 +81,7 @@ def like_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
         (_begins_with_any_date, "holds dates"),
         (_begins_with_hours, "holds hours and minutes"),
         (column_counts, "counts up evenly"),
+        (_may_be_dates, "may hold dates"),
         (_rises, "rises like times"),
         (_rises_mostly, "rises like times at most rows, though not at all"),
     ):

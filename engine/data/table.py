@@ -24,6 +24,9 @@ from engine.errors import SeriesError
 from engine.units import named_with_unit
 
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
+LIKE_DATE = re.compile(
+    r".*\d.*(?::|[^\W\d_]).*\d.*"
+)  # 1. March 2024 or 12:30.5: as words and numbers go
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AP]M)?", re.IGNORECASE)
 MISSING = frozenset(
     ["", "nan", "null", "na", "n/a", "none", "missing", "#n/a", "#value!", "#div/0!", "#num!", "#ref!"]
@@ -168,13 +171,13 @@ class Table:
             hint = repeated
         elif date_of(text) is not None:
             hint = "; only the column of times may hold dates"
-        elif DATED.match(text):
-            hint = "; dates of a column of times are read as 2024-03-01 13:45:00: write them so"
         elif TIME_OF_DAY.fullmatch(text):
             hint = (
                 "; times of day are read with seconds, 13:45:00, or with their date, both in one column: "
                 "2024-03-01 13:45:00"
             )
+        elif DATED.match(text) or LIKE_DATE.fullmatch(text):
+            hint = "; dates of a column of times are read as 2024-03-01 13:45:00: write them so"
         elif row == 0 and not any(is_number(cells[0].strip()) for cells in self.columns.values()):
             hint = "; if this line holds units, write them behind the names, as in 't [s]', or delete it"
         raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")

@@ -407,6 +407,10 @@ def test_a_step_beside_a_column_of_times_must_be_their_step():
         (["2024-03-30", "2024-03-31", "2024-04-01"], 86400.0),
         (["2024-01-01T00:00:00.000Z", "2024-01-01T00:00:00.500Z", "2024-01-01T00:00:01Z"], 0.5),
         (["2024-03-31T01:00+01:00", "2024-03-31T03:00+02:00", "2024-03-31T04:00+02:00"], 3600.0),
+        (["31-Mar-2024 23:59:59.5", "01-Apr-2024 00:00:00", "01-Apr-2024 00:00:00.5"], 0.5),
+        (["31 March 2024 01:00", "31 March 2024 02:00", "31 March 2024 03:00"], 3600.0),
+        (["2024-03-31 01:00:00 UTC", "2024-03-31 02:00:00 UTC", "2024-03-31 03:00:00 UTC"], 3600.0),
+        (["2024-03-31 01:00 +0100", "2024-03-31 03:00 +0200", "2024-03-31 04:00 +0200"], 3600.0),
     ],
 )
 def test_a_logger_writes_dates(tmp_path, stamps, step):
@@ -565,6 +569,37 @@ def test_a_step_that_is_assumed_beside_what_looks_like_times_is_told(tmp_path):
     assert read_series(of(tmp_path, "u,y\n0,1\n1,2\n2,1\n")).dt == 1.0  # plain, and silent
 
 
+@pytest.mark.parametrize("cell", ["{}. März 2024", "0 days 00:00:0{}", "0{}:30.5"])
+def test_a_step_that_is_assumed_beside_dates_that_are_not_read_is_told(tmp_path, cell):
+    rows = "".join(f"{cell.format(k)},{k % 2}\n" for k in range(1, 5))
+    with pytest.warns(ReadingWarning, match="a step of 1 s is assumed; as 'Zeit' may hold dates"):
+        read_series(of(tmp_path, f"Zeit,y\n{rows}"))
+    rows = "".join(f"V{k % 2}.A{k % 2},{k % 2}\n" for k in range(1, 5))  # names of something
+    assert read_series(of(tmp_path, f"sensor,y\n{rows}")).dt == 1.0
+
+
+@pytest.mark.parametrize(("parts", "unit"), [(10**3, "ms"), (10**6, "us"), (10**9, "ns")])
+def test_parts_of_seconds_since_1970(tmp_path, parts, unit):
+    """The clock of a computer: 20 ms were taken for 20 s, or for more."""
+    rows = "".join(f"{1_700_000_000 * parts + k * parts // 50},{k % 3}\n" for k in range(5))
+    with pytest.warns(ReadingWarning, match=rf"look like {unit} since 1970.*'time \[{unit}\]'"):
+        read_series(of(tmp_path, f"time,y\n{rows}"))
+    with pytest.warns(ReadingWarning, match=f"converted from {unit} to s"):
+        series = read_series(of(tmp_path, f"time [{unit}],y\n{rows}"), time_unit="s")
+    assert series.usual_step == pytest.approx(0.02, abs=1e-6)
+    seconds = "".join(f"{1_700_000_000 + k},{k % 3}\n" for k in range(5))
+    assert read_series(of(tmp_path, f"time,y\n{seconds}")).dt == 1.0
+
+
+@pytest.mark.parametrize("seconds", ["", "00"])
+def test_dates_in_digits_with_their_time_of_day(tmp_path, seconds):
+    rows = "".join(f"2024030107{k}{seconds},{k % 3}\n" for k in range(50, 55))
+    with pytest.warns(
+        ReadingWarning, match="look like dates, as 202403011430 for 2024-03-01 14:30"
+    ):
+        read_series(of(tmp_path, f"time,y\n{rows}"))
+
+
 @pytest.mark.parametrize("row", [10.0, 9.0, 0.0])
 def test_a_column_of_times_that_falls_once_is_told(tmp_path, row):
     """A logger that wrote a row twice, or began anew: all rows were taken for 1 s apart, without a word."""
@@ -665,7 +700,7 @@ def test_times_that_fall_back(tmp_path, stamps, words):
         ("time,y\n2024-01-01,1\ntime,y\n", "line 3, .*if this line repeats the names of the columns"),
         ("Date,Time,y\n2024-01-01,00:00:10,1\n2024-01-01,00:00:20,1\n", "with their date, both in one column"),
         ("t,y\n01/03/2024 12:00,1\n02/03/2024 12:00,1\n", "day or its month first.*: write dates as"),
-        ("t,y\n1-Mar-2024,1\n2-Mar-2024,1\n", "'1-Mar-2024' is not a number"),
+        ("t,y\n1. März 2024,1\n2. März 2024,1\n", "'1. März 2024' is not a number; dates of .* are read as"),
     ],
 )  # fmt: skip
 def test_what_to_do_about_a_file(tmp_path, text, words):

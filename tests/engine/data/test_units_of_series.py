@@ -22,7 +22,9 @@ pd = pytest.importorskip("pandas")
     [
         ("time [min]", "min"), ("t_ms", "ms"), ("t (h)", "h"), ("Time_hours", "h"), ("year", "year"),
         ("Days", "day"), ("t_s", "s"), ("time [d]", "day"), ("t (hrs)", "h"), ("t", ""), ("time", ""),
-        ("level", ""), ("tank", ""), ("y", ""),
+        ("level", ""), ("tank", ""), ("y", ""), ("Zeit [ms]", "ms"), ("Timestamp (ms)", "ms"),
+        ("elapsed_ms", "ms"), ("Zeit/h", "h"), ("uptime hours", "h"), ("Zeit [Tage]", ""), ("day_of_year", ""),
+        ("items", ""), ("_s", ""),
     ],
 )  # fmt: skip
 def test_the_unit_that_a_column_of_times_tells(column, unit):
