@@ -29,9 +29,12 @@ LIKE_DATE = re.compile(
 )  # 1. March 2024 or 12:30.5: as words and numbers go
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AP]M)?", re.IGNORECASE)
 MISSING = frozenset(
-    ["", "nan", "null", "na", "n/a", "none", "missing", "#n/a", "#value!", "#div/0!", "#num!", "#ref!"]
+    ["", "nan", "nat", "null", "<null>", "(null)", "na", "n/a", "n.a.", "none", "missing"]
 )  # fmt: skip
-NO_READING = re.compile(r"-+|\?+|\.")  # as loggers and statisticians write it
+# As loggers and statisticians write it, a spreadsheet in any language (#NV, #DIV/0!), and C on Windows.
+NO_READING = re.compile(
+    r"-+|\?+|\.|#[^\W\d_]+(/[^\W_])?[!?]?|-?1\.#(ind|[qs]nan)\d*|-?nan\((ind|snan)\)", re.IGNORECASE
+)
 
 
 @dataclass
@@ -178,6 +181,8 @@ class Table:
             )
         elif DATED.match(text) or LIKE_DATE.fullmatch(text):
             hint = "; dates of a column of times are read as 2024-03-01 13:45:00: write them so"
+        elif not any(map(str.isdigit, text)) and row:
+            hint = "; write a number, or nothing where there is no reading"
         elif row == 0 and not any(is_number(cells[0].strip()) for cells in self.columns.values()):
             hint = "; if this line holds units, write them behind the names, as in 't [s]', or delete it"
         raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")

@@ -475,7 +475,9 @@ def test_what_parts_cells_is_told_by_all_rows(head, rows, names, y):
 def test_a_line_of_units_is_that_of_the_columns():
     series = read_series_bytes(b"# log\nt;flow\nmin;L/s\n0;1,5\n2;2,5\n", "a.csv", y=["flow"])
     assert (series.time_unit, series.units, series.dt) == ("min", {"flow": "L/s"}, 2.0)
-    with pytest.raises(SeriesError, match=r"line 5, column 'flow \[L/s\]': 'x' is not a number$"):
+    with pytest.raises(
+        SeriesError, match=r"line 5, column 'flow \[L/s\]': 'x' is not a number; write a number, or"
+    ):
         read_series_bytes(b"# log\nt;flow\nmin;L/s\n0;1,5\n2;x\n", "a.csv", y=["flow"])
 
 
@@ -790,7 +792,24 @@ def test_an_order_that_only_the_steps_tell_is_said(tmp_path, stamps, order):
 
 
 def test_what_says_that_there_is_no_reading(tmp_path):
-    marks = ["---", "-", "?", ".", "#DIV/0!", "#N/A", "missing", "NULL", ""]
+    marks = [
+        "---",
+        "-",
+        "?",
+        ".",
+        "#DIV/0!",
+        "#N/A",
+        "#NV",
+        "#BEZUG!",
+        "#N/D",
+        "1.#QNAN",
+        "-nan(ind)",
+        "n.a.",
+        "NaT",
+        "missing",
+        "NULL",
+        "",
+    ]
     text = "t,y\n" + "".join(f"{k},{mark}\n" for k, mark in enumerate(["1.5", *marks, "2.5"]))
     y = read_series(of(tmp_path, text)).y[:, 0]
     assert (y[0], y[-1], np.isnan(y[1:-1]).all()) == (1.5, 2.5, True)
