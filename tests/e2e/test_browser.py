@@ -74,12 +74,12 @@ def test_upload_map_run_watch_and_keep_the_report(visit, flows, tmp_path):
 @pytest.fixture
 def long(address):
     """Id of an estimation that computes far longer than the test watches it."""
-    y = engine.simulate(engine.get_model("linear-2"), None, 300, np.random.default_rng(5)).y
+    y = engine.simulate(engine.get_model("linear-2"), None, 1500, np.random.default_rng(5)).y
     request = {
         "kind": "estimate",
         "model": "linear-2",
         "series": [{"y": y.tolist()}],
-        "options": {"particles": 500, "iterations": 10_000},
+        "options": {"method": "rbps-em", "particles": 500, "iterations": 10_000},
     }
     job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
     yield job
