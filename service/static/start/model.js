@@ -28,7 +28,7 @@ export class ModelCard {
     broken.replaceChildren(...Object.entries(broken_plugins).map(([name, text]) => element("li", {}, `${name} cannot be used: ${text}`)));
     broken.hidden = !broken.childElementCount;
     this.models = new Map(models.map((one) => [one.name, one]));
-    const choices = models.map((one) => element("option", { value: one.name }, `${one.name}${one.own ? " (your own)" : ""} - ${firstSentence(one.description)}`));
+    const choices = models.map((one) => element("option", { value: one.name }, `${one.name}${one.own ? " (your own)" : ""}${one.description ? ` - ${firstSentence(one.description)}` : ""}`));
     select.replaceChildren(element("option", { value: "" }, "choose ..."), ...choices);
   }
 
@@ -108,7 +108,7 @@ export function withUnit(name, text) {
 }
 
 function firstSentence(text) {
-  const first = text.split(/[.:;](?:\s|$)/)[0];
+  const first = text.split(/[:;](?:\s|$)|\.(?=\s+\p{Lu}|\s*$)/u)[0]; // "eq. (34)" ends none
   return first.length > 90 ? `${first.slice(0, 88)}...` : first;
 }
 
