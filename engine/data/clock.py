@@ -155,6 +155,10 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
             )
         elif kind == "decreases" and not hint and times[row] <= times[0]:
             hint = "; if several records stand one below the other, give each by itself"
+        elif kind == "decreases" and not hint:
+            hint = "; if the rows are of one record, sort them by time"
+        elif kind == "repeats" and not hint and (np.diff(times) >= 0).all():
+            hint = "; if its stamps are rounded, name their column otherwise and give the step, dt"
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:
         _check_step(times, _step_in(dt, unit))

@@ -47,7 +47,10 @@ NAN, INF = np.nan, np.inf
         ({"y": Y, "t": np.arange(9)}, "t has 9 time stamps and y has 10 rows"),
         ({"y": [0, 0, 0], "t": [0, NAN, 1]}, "t is not finite at row 1"),
         ({"y": [0, 0, 0], "t": [0, 1, 1]}, r"t repeats at row 2 \(1\); time must increase"),
-        ({"y": [0, 0, 0], "t": [0, 2, 1]}, r"t decreases at row 2 \(1\); time must increase"),
+        (
+            {"y": [0, 0, 0], "t": [0, 2, 1]},
+            r"t decreases at row 2 \(1\); time must increase; .*sort them",
+        ),
     ],
 )
 def test_series(arguments, message):

@@ -512,6 +512,8 @@ def test_heads_that_are_odd(text, message):
          r"t repeats at line 5 \(2024-10-27 02:00:00\); .* winter time here, write the time stamps"),
         (["2024-10-27 02:30", "2024-10-27 02:31", "2024-10-27 02:30", "2024-10-27 02:31"],
          r"t decreases at line 5 \(2024-10-27 02:30:00\); time must increase; if several records.*by itself$"),
+        (["2024-10-26 02:30:00", "2024-10-26 02:30:00", "2024-10-26 02:30:01", "2024-10-26 02:30:01"],
+         r"t repeats at line 4 \(2024-10-26 02:30:00\); .* if its stamps are rounded, .*step, dt$"),
     ],
 )  # fmt: skip
 def test_dates_whose_zone_or_summer_time_is_not_told(stamps, message):
