@@ -765,6 +765,36 @@ def test_a_model_of_ones_own_with_its_equations_and_what_its_check_says(chrome, 
         watched.check()
 
 
+def test_times_are_converted_to_what_the_model_counts(chrome, tmp_path):
+    """Of a model that counts minutes nothing was said beside a record in seconds."""
+    models = tmp_path / "models"
+    models.mkdir()
+    write_model(models / "pendulum.py", as_json=True)
+    text = (models / "pendulum.py").read_text()
+    for unit in ("rad/s", "(rad/s)^2/s", "1/s^2", "1/s"):
+        text = text.replace(f'"{unit}"', f'"{unit.replace("/s", "/min")}"')
+    (models / "pendulum.py").write_text(text)
+    logged = tmp_path / "log.csv"
+    logged.write_text("t [ms],y,torque\n" + "".join(f"{1500 * k},{k % 3},1\n" for k in range(40)))
+    with service(tmp_path, models=models) as address:
+        watched = Watched(chrome, address)
+        page = watched("/?model=pendulum")
+        ready(page)
+        page.set_input_files("#file", logged)
+        page.wait_for_selector("#time-facts.field-error")
+        for clock in ("s", "ms"):
+            page.fill("#time-unit", clock)
+            page.press("#time-unit", "Tab")
+            eventually(
+                page, lambda clock=clock: f"Times are in {clock}," in page.inner_text("#time-facts")
+            )
+            assert "Else write min as their unit" in page.inner_text("#time-facts")
+        page.fill("#time-unit", "min")
+        page.press("#time-unit", "Tab")
+        eventually(page, lambda: "0 to 0.975 min, step 0.025 min" in page.inner_text("#time-facts"))
+        watched.check()
+
+
 @pytest.mark.slow
 def test_the_simulation_is_fitted_first(visit, tmp_path):
     model = engine.get_model("oscillator")

@@ -17,6 +17,7 @@ export class DataCard {
     this.extra = new Set(); // columns that a diagnosis should ask about
     this.charts = [];
     this.units = []; // of the model: [name, unit]
+    this.rates = []; // those of its parameters
     by("file").addEventListener("change", () => this.take([...by("file").files]));
     for (const id of ["time", "by"]) by(id).addEventListener("change", () => this.look());
     by("dt").addEventListener("input", () => {
@@ -124,7 +125,8 @@ export class DataCard {
   setModel(model) {
     const list = (member, channels) => Object.entries(channels).map(([name, unit]) => ({ member, name, unit }));
     this.channels = model ? [...list("y", model.outputs), ...list("u", model.inputs)] : [];
-    this.units = model ? [...[model.nonlinear, model.linear, model.inputs, model.outputs].flatMap(Object.entries), ...model.parameters.map((one) => [one.name, one.unit])] : [];
+    this.rates = model ? model.parameters.map((one) => [one.name, one.unit]) : [];
+    this.units = model ? [...[model.nonlinear, model.linear, model.inputs, model.outputs].flatMap(Object.entries), ...this.rates] : [];
     this.mapping.clear();
     this.showChannels();
     this.leaveChannels();
@@ -214,10 +216,10 @@ export class DataCard {
     );
     const time = by("time").value ? this.files[0]?.preview.time : null;
     const clock = by("time-unit").value.trim() || "s";
-    const other = clock === "s" ? undefined : this.units.find(([, text]) => /(^|[^\p{L}])(s|Hz)(?!\p{L})/u.test(text));
+    const [other, counted] = otherClock(this.units, this.rates, clock);
     by("time-facts").className = time?.problem || other ? "field-error" : "hint";
     by("time-facts").textContent = time?.problem ? `Column '${time.column}': ${time.problem}`
-      : other ? `Times are in ${clock}, and the model has ${other[0]} in ${other[1]}: its numbers are right only if its equations convert. Else write s as their unit, where the file says ${clock} or has dates, or convert them.`
+      : other ? `Times are in ${clock}, and the model has ${other[0]} in ${other[1]}: its numbers are right only if its equations convert. Else write ${counted} as their unit, where the file says ${clock} or has dates, or convert them.`
       : !time ? this.aboutStep(clock)
       : `${stamp(time.first, time)} to ${stamp(time.last, time)} ${clock}, step ${number(time.step)} ${clock}${time.regular ? "" : " (median; not regular)"}`;
   }
@@ -353,6 +355,18 @@ function preview(file, name, time, unit, records) {
   if (unit) form.append("time_unit", unit);
   if (records) form.append("by", records);
   return post("/preview", form);
+}
+
+// What of the model counts time otherwise than the data, [name, unit], and in what, as engine/statespace/clock.py.
+function otherClock(units, rates, clock) {
+  const counts = (words) => ([, text]) => new RegExp(`(^|[^\\p{L}])(${words})(?!\\p{L})`, "u").test(text);
+  const seconds = counts("s|Hz");
+  const found = units.find(seconds);
+  if (clock === "s" ? found : rates.some(counts(clock.replace(/[^\p{L}]/gu, "."))) && !rates.some(seconds)) return [];
+  if (found) return [found, "s"];
+  const rate = ([, text]) => /\/.*?(?<!\p{L})(min|hr?|d|day|week|month|year)(?!\p{L})/u.exec(text)?.[1];
+  const other = rates.find((one) => rate(one) && rate(one) !== clock);
+  return other ? [other, rate(other)] : [];
 }
 
 // A time with as many digits as tell it from the next.
