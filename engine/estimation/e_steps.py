@@ -200,6 +200,7 @@ def rbps_step(
         rbpf, model, proposal=proposal, resampling=resampling, ess_threshold=ess_threshold
     )
 
+    @np.errstate(all="ignore")  # at a trial of the parameters
     def run(theta: Theta, one: Series, particles: int, rng: np.random.Generator) -> Filtered:
         filtered = filter_by(theta, one, particles, rng)
         if not np.isfinite(filtered.log_likelihood):  # for want of numbers, or of particles
