@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from engine.data.clock import converted
+import numpy as np
+
+from engine.data.clock import converted, index_of
 from engine.data.series import Series
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND, clock_of, named_with_unit
@@ -25,7 +27,8 @@ def from_frame(
     Parameters
     ----------
     table : pandas.DataFrame
-        A row for each sample; an index of dates, durations or decimal numbers tells the times.
+        A row for each sample; an index of dates, durations or decimal numbers tells the times, and with
+        ``units`` one whose name has a unit of time.
     y, u : sequence of str
         Columns of outputs and inputs, in the model's order: by their names, or by these without the unit.
     t : str, optional
@@ -73,9 +76,10 @@ def from_frame(
     if units is not None and not dated:
         named = str(clock if clock is not None else table.index.name or "")
         told = table.attrs.get("time_unit") or clock_of(named)
-        times = table.index if clock is None else table[clock]
-        if told and time_unit and told != time_unit:
-            arguments["t"] = converted(times.to_numpy(), told, time_unit)[0]
+        times = table.index if clock_of(named) else index_of((table,))  # 0, 10, 20 called time [ms]
+        times = table[clock] if clock is not None else times if more.get("dt") is None else None
+        if times is not None:
+            arguments["t"] = _counted(times, told, time_unit or told)
         time_unit = time_unit or told
     return Series(
         **arguments,
@@ -116,6 +120,14 @@ class _Columns:
 
     def _listed(self) -> str:
         return f"there are {', '.join(self.there)}"
+
+
+def _counted(times: Any, told: str, unit: str) -> Any:
+    """Numbers that count ``told`` as ones that count a ``unit``; dates as they are."""
+    try:
+        return converted(np.asarray(times, dtype=float), told, unit)[0]
+    except (TypeError, ValueError):
+        return times
 
 
 def _is_dated(values: Any) -> bool:

@@ -176,6 +176,31 @@ def test_units_from_attrs_and_as_given(table):
         engine.Series.from_frame(table, ["pressure"], units="name")
 
 
+def test_an_index_that_counts_rows_is_no_times_to_convert(table):
+    table = table.reset_index(drop=True)
+    table.attrs["time_unit"] = "ms"
+    for dt in (0.5, None):
+        series = engine.Series.from_frame(table, ["pressure"], units="names", time_unit="s", dt=dt)
+        assert (series.dt, series.time_unit) == (dt or 1.0, "s")
+
+
+def test_an_index_whose_name_has_a_unit_of_time_has_times(table):
+    table.index = pd.Index([0, 10, 20], name="time [ms]")
+    for unit, dt in ((None, 10.0), ("s", 0.01)):
+        series = engine.Series.from_frame(table, ["pressure"], units="names", time_unit=unit)
+        assert (series.dt, series.time_unit) == (pytest.approx(dt), unit or "ms")
+
+
+def test_numbers_as_text_are_converted_and_dates_are_not(table):
+    table["t [ms]"] = ["0", "10", "20"]
+    table["when [ms]"] = [f"2026-01-01 00:00:0{k}" for k in range(3)]
+    for column, dt in (("t [ms]", 0.01), ("when [ms]", 1.0)):
+        series = engine.Series.from_frame(
+            table, ["pressure"], t=column, units="names", time_unit="s"
+        )
+        assert series.dt == pytest.approx(dt)
+
+
 def test_dates_are_seconds_whatever_the_index_is_called(table):
     table.index = pd.date_range("2026-01-01", periods=3, freq="min", name="time [min]")
     series = engine.Series.from_frame(table, ["pressure"], units="names")
