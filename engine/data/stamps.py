@@ -10,7 +10,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.clock import elapsed, times_in
 from engine.data.dates import date_of, order_of, with_slashes
-from engine.data.table import LIKE_DATE, TIME_OF_DAY, Table
+from engine.data.table import LIKE_DATE, TIME_OF_DAY, Table, is_number
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
 
@@ -54,10 +54,9 @@ def _begins_with_hours(table: Table, name: str) -> bool:
 
 def _may_be_dates(table: Table, name: str) -> bool:
     """Whether a column of words may hold dates that are not read: no two of them are the same."""
-    cells = [str(cell).strip() for cell in table.columns[name]]
-    return LIKE_DATE.fullmatch(_first_cell(table, name).strip()) is not None and len(
-        set(cells)
-    ) == len(cells)
+    cells, first = [str(cell).strip() for cell in table.columns[name]], _first_cell(table, name)
+    like_date = LIKE_DATE.fullmatch(first.strip()) is not None and not is_number(first)  # 1.5e-3
+    return like_date and len(set(cells)) == len(cells)
 
 
 def _first_cell(table: Table, name: str) -> str:

@@ -31,9 +31,10 @@ TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AP]M)?", re.IGNOREC
 MISSING = frozenset(
     ["", "nan", "nat", "null", "<null>", "(null)", "na", "n/a", "n.a.", "none", "missing"]
 )  # fmt: skip
-# As loggers and statisticians write it, a spreadsheet in any language (#NV, #DIV/0!), and C on Windows.
+# As loggers and statisticians write it, a spreadsheet in any language (#NV, #¡DIV/0!), and C on Windows.
 NO_READING = re.compile(
-    r"-+|\?+|\.|#[^\W\d_]+(/[^\W_])?[!?]?|-?1\.#(ind|[qs]nan)\d*|-?nan\((ind|snan)\)", re.IGNORECASE
+    r"-+|\?+|\.|#[¡¿]?[^\W\d]+(/[^\W_])?[!?]?|-?1\.#(ind|[qs]nan)\d*|-?nan\((ind|snan)\)",
+    re.IGNORECASE,
 )
 
 

@@ -580,6 +580,8 @@ def test_a_step_that_is_assumed_beside_dates_that_are_not_read_is_told(tmp_path,
         read_series(of(tmp_path, f"Zeit,y\n{rows}"))
     rows = "".join(f"V{k % 2}.A{k % 2},{k % 2}\n" for k in range(1, 5))  # names of something
     assert read_series(of(tmp_path, f"sensor,y\n{rows}")).dt == 1.0
+    rows = "".join(f"{k % 3 + k / 10}e-01,{k % 2}\n" for k in range(1, 5))  # numbers
+    assert read_series(of(tmp_path, f"p,y\n{rows}")).dt == 1.0
 
 
 @pytest.mark.parametrize(("parts", "unit"), [(10**3, "ms"), (10**6, "us"), (10**9, "ns")])
@@ -804,6 +806,8 @@ def test_what_says_that_there_is_no_reading(tmp_path):
         "#NV",
         "#BEZUG!",
         "#N/D",
+        "#¡VALOR!",
+        "#DĚLENÍ_NULOU!",
         "1.#QNAN",
         "-nan(ind)",
         "n.a.",
