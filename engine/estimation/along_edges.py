@@ -53,10 +53,14 @@ class Edge:
     likelihoods: Callable[[Array], Array]
     at: Callable[[Array], Place]
 
-    def climbed(self, here: Place, tolerance: float) -> tuple[Place, bool]:
-        """The highest place along the edge, and whether no more than the tolerance is expected beyond it."""
+    def climbed(self, here: Place, tolerance: float, converged: bool) -> tuple[Place, bool]:
+        """The highest place along the edge, and whether no more than the tolerance is expected beyond it.
+
+        Where no edge is seen and nothing is gained, it is as ``converged`` says: where it is the filter that is
+        lost, a bound that was learnt holds the place.
+        """
         for _ in range(STEPS):
-            step, normal = self._step(here)
+            step, normal = self._step(here, tolerance)
             expected = float(here.g @ step)
             if not expected > tolerance:
                 return here, True
@@ -65,15 +69,15 @@ class Edge:
             values = self.likelihoods(ways)
             best = int(np.argmax(values))
             if not values[best] > here.value:
-                return here, expected <= SLIGHT
+                return here, expected <= SLIGHT or (converged and not normal.any())
             there = self.at(ways[best])
             if not np.isfinite(there.value):
                 return here, False
             here = there
         return here, False
 
-    def _step(self, here: Place) -> tuple[Array, Array]:
-        """The step d (n,), and n (n,)."""
+    def _step(self, here: Place, tolerance: float) -> tuple[Array, Array]:
+        """The step d (n,), and n (n,), which is not looked for where the step is worth no more than that."""
         x, g, diagonal = here.x, here.g, np.diag(here.H)
         held = ((x <= self.lower) & (g < 0.0)) | ((x >= self.upper) & (g > 0.0))
         moving = np.flatnonzero(~held & (diagonal > 0.0))
@@ -84,6 +88,8 @@ class Edge:
         H = here.H[np.ix_(moving, moving)] * np.outer(unit, unit) + RIDGE * np.eye(len(unit))
         free = np.linalg.solve(H, g[moving] * unit)
         out[moving] = free * unit
+        if not float(g @ out) > tolerance:
+            return out, np.zeros_like(x)
         normal = self._normal(x, out)
         n = normal[moving] * unit
         room = min(ROOM, 1.0 - CLOSE * float(np.abs(normal * self.scale).max()))

@@ -220,7 +220,7 @@ def quasi_ml(  # noqa: PLR0913
     bounds = model.lower[indices], model.upper[indices]
     if not given_up and edges.narrower_than(*bounds):
         edge = _edge(model, all_series, theta, indices, visited)
-        place, converged = edge.climbed(Place(theta[indices], value, g, H), tolerance)
+        place, converged = edge.climbed(Place(theta[indices], value, g, H), tolerance, converged)
         theta, value, H = free_thetas(theta, indices, place.x[None])[0], place.value, place.H
     best = Theta(theta, model.parameter_names)
     return QuasiFit(given, best, float(value), names, H, iterations, converged, given_up)

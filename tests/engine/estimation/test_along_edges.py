@@ -64,6 +64,50 @@ RECORD = overdamped()
 MODELS = {"nan": oscillator(np), "raises": oscillator(math)}
 
 
+def tank():
+    """A level whose root has no number below zero, where a later row may be: at its start all is well."""
+
+    def dynamics(a, u, t, dt, th):
+        x = a[:, :1]
+        return x + dt * (u[0] - th.k * np.sqrt(x)), np.zeros((1, 0)), [[1e-12]]
+
+    return engine.MixedModel(
+        name="tank",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: (a, np.zeros((1, 0)), [[th.r**2]]),
+        initial=lambda th: (engine.Gaussian([1.0], [[1e-8]]), [], np.zeros((0, 0))),
+        nonlinear={"h": "m"},
+        inputs={"flow": "m/s"},
+        outputs={"y": "m"},
+        parameters=[
+            engine.Parameter("k", 0.3, "1", (0.0, 5.0)),
+            engine.Parameter("r", 0.05, "m", (1e-4, 5.0)),
+        ],
+    )
+
+
+def drained(T=200, k=1.0, dt=0.05):
+    """It runs dry at the end, and its sensor reads too little."""
+    rng, x, y = np.random.default_rng(1), 1.0, []
+    u = np.where(np.arange(T) < 150, 0.5, 0.0)
+    for flow in u:
+        y.append(x - 0.15 + 0.02 * rng.standard_normal())
+        x = max(x + dt * (flow - k * math.sqrt(x)), 0.0)
+    return engine.Series(y, u=u, dt=dt)
+
+
+@pytest.mark.long
+def test_at_the_edge_where_a_filter_is_lost_later_a_search_has_ended():
+    model, record = tank(), drained()
+    with np.errstate(all="ignore"):
+        found = quasi_ml(model, record)
+        beyond = [[found.theta["k"] * more, found.theta["r"]] for more in (0.999, 1.0, 1.001)]
+        less, here, more = log_likelihoods(model, [record], np.array(beyond))
+    assert more == -np.inf
+    assert less < here
+    assert found.converged
+
+
 def highest():
     """The largest likelihood next to the edge, by another search in what is left beside c."""
 
