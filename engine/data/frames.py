@@ -76,7 +76,8 @@ def from_frame(
     if units is not None and not dated:
         named = str(clock if clock is not None else table.index.name or "")
         told = table.attrs.get("time_unit") or clock_of(named)
-        times = table.index if clock_of(named) else index_of((table,))  # 0, 10, 20 called time [ms]
+        counts = clock_of(named) and table.index.dtype.kind in "iu"  # 0, 10, 20 called time [ms]
+        times = table.index if counts else index_of((table,))
         times = table[clock] if clock is not None else times if more.get("dt") is None else None
         if times is not None:
             arguments["t"] = _counted(times, told, time_unit or told)

@@ -189,6 +189,8 @@ def test_an_index_whose_name_has_a_unit_of_time_has_times(table):
     for unit, dt in ((None, 10.0), ("s", 0.01)):
         series = engine.Series.from_frame(table, ["pressure"], units="names", time_unit=unit)
         assert (series.dt, series.time_unit) == (pytest.approx(dt), unit or "ms")
+    table.index = pd.Index(["Mon", "Tue", "Wed"], name="day")
+    assert engine.Series.from_frame(table, ["pressure"], units="names").dt == 1.0
 
 
 def test_numbers_as_text_are_converted_and_dates_are_not(table):
