@@ -253,7 +253,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         look_alikes={
             "level": "does not change",
             "heavy-tails": "comes at random times",
-            RELATIVE: "is a share of the reading, beside a noise that is always there",
+            RELATIVE: "is a share of the reading, or state, beside a noise that is always there",
         },
         traits=Traits(noise_level=True, contains=("level",)),
         held=tuple(p.name for p in further),
