@@ -59,20 +59,25 @@ class Edge:
         Where no edge is seen and nothing is gained, it is as ``converged`` says: where it is the filter that is
         lost, a bound that was learnt holds the place.
         """
+        idle = 0  # steps in turn that gained next to nothing, as at a kink
         for _ in range(STEPS):
             step, normal = self._step(here, tolerance)
             expected = float(here.g @ step)
             if not expected > tolerance:
                 return here, True
+            ended = expected <= SLIGHT or (converged and not normal.any())
+            if idle > 1:
+                return here, ended
             trials = np.clip(here.x + LENGTHS[:, None] * step, self.lower, self.upper)
             ways = np.array([self._brought_back(x, normal) for x in trials])
             values = self.likelihoods(ways)
             best = int(np.argmax(values))
             if not values[best] > here.value:
-                return here, expected <= SLIGHT or (converged and not normal.any())
+                return here, ended
             there = self.at(ways[best])
             if not np.isfinite(there.value):
                 return here, False
+            idle = idle + 1 if there.value - here.value < 0.1 * tolerance else 0
             here = there
         return here, False
 

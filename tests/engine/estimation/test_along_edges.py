@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 import engine
 from engine.diagnose import diagnose
+from engine.estimation.along_edges import Edge, Place
 from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.simulation.free_run import run_rows
 
@@ -106,6 +107,22 @@ def test_at_the_edge_where_a_filter_is_lost_later_a_search_has_ended():
     assert more == -np.inf
     assert less < here
     assert found.converged
+
+
+def test_a_climb_that_gains_next_to_nothing_ends():
+    """At a kink slopes promise what no step gains."""
+    asked = []
+
+    def at(x):
+        asked.append(x)
+        return Place(x, 1e-9 * float(x[0]), np.ones(1), np.eye(1))
+
+    wide = np.array([1e3])
+    edge = Edge(-wide, wide, np.ones(1), lambda x: True, lambda each: 1e-9 * each[:, 0], at)
+    place, converged = edge.climbed(at(np.zeros(1)), 0.01, True)
+    assert len(asked) < 5
+    assert converged
+    assert place.value > 0.0
 
 
 def highest():
