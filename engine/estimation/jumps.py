@@ -13,7 +13,7 @@ JUMP = (
 
 
 def sides(thetas: Array, indices: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """How far the neighbours of theta, see ``differences.neighbours``, lie below it, above it and apart, (n,)."""
+    """How far the neighbours of theta, see ``differences.neighbours``, lie below, above it and apart, (n,)."""
     k = np.arange(len(indices))
     low, here, high = (
         row[..., indices] for row in (thetas[1 + 2 * k], thetas[0], thetas[2 + 2 * k])
