@@ -95,7 +95,12 @@ def clock_of(column: str) -> str:
     """The unit that the name of a column of times tells, ``Zeit [min]``, ``t_ms``, ``year``; "" if none."""
     text = column.strip()
     found = _CLOCK.fullmatch(text) or _BEHIND_TIMES.fullmatch(text)
-    word = (named_with_unit(text)[1] or (found[1] if found else "")).lower()
+    return clock_spelled(named_with_unit(text)[1] or (found[1] if found else ""))
+
+
+def clock_spelled(text: str) -> str:
+    """The unit of time that a word is, ``hours``, ``Sec``, ``year``; "" if none."""
+    word = text.strip().lower()
     return _CLOCKS[word] or word if word in _CLOCKS else ""
 
 

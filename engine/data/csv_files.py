@@ -11,7 +11,7 @@ from itertools import islice
 from engine.data.dates import date_of
 from engine.data.table import DATED, Table, is_missing, is_number
 from engine.errors import SeriesError
-from engine.units import clock_of, is_unit, named_with_unit
+from engine.units import clock_spelled, is_unit, named_with_unit
 
 # Comments at the head of a CSV.
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
@@ -213,7 +213,7 @@ def _units_in(row: Sequence[str]) -> list[str]:
 
 
 def _is_unit(text: str) -> bool:
-    return not is_missing(text) and (is_unit(text) or clock_of(text) != "")
+    return not is_missing(text) and (is_unit(text) or clock_spelled(text) != "")
 
 
 def _has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:

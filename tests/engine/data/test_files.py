@@ -558,6 +558,15 @@ def test_the_only_column_of_dates_has_the_times(tmp_path):
         read_series(of(tmp_path, f"from,to,y\n{two}"))
 
 
+def test_a_row_of_words_that_end_in_a_unit_of_time_is_no_line_of_units(tmp_path):
+    """It was taken for one, and the row passed over."""
+    for words in ("-,-,valve_s", "-,pump h,valve_s"):
+        with pytest.raises(SeriesError, match="is not a number"):
+            read_series(of(tmp_path, f"t,y,u\n{words}\n1,2,3\n2,3,4\n"))
+    spelled = read_series(of(tmp_path, "t,y\nhours,m\n1,2\n2,3\n"), y=["y"])
+    assert (spelled.time_unit, spelled.units) == ("h", {"y": "m"})
+
+
 def test_times_over_their_unit(tmp_path):
     for name in ("time/ms", "t/ms", "Time / ms"):
         series = read_series(of(tmp_path, f"{name},y\n0,1\n20,2\n40,1\n"))
