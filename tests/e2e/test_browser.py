@@ -439,6 +439,20 @@ def test_dates_are_times_and_what_is_wrong_with_times_stays_in_sight(visit, tmp_
     assert "1711846800 to 1711846800.2 s, step 0.1 s" in page.inner_text("#time-facts")
 
 
+def test_the_step_of_a_file_is_shown_in_the_unit_that_is_asked_for(visit, tmp_path):
+    """A job converts it; the page went on to say that it is 20."""
+    page = visit("/?model=local-level")
+    ready(page)
+    np.savez(tmp_path / "a.npz", y=np.arange(9.0), dt=20.0, time_unit="ms")
+    page.set_input_files("#file", tmp_path / "a.npz")
+    page.wait_for_selector('#data-facts:has-text("a.npz")')
+    for unit, step in (("s", "0.02"), ("ms", "20")):
+        page.fill("#time-unit", unit)
+        page.press("#time-unit", "Tab")
+        eventually(page, lambda step=step: page.get_attribute("#dt", "placeholder") == step)
+        assert page.input_value("#time-unit") == unit
+
+
 def test_no_step_is_sent_that_nobody_typed(visit, tmp_path):
     page = visit("/?model=local-level")
     ready(page)

@@ -24,7 +24,7 @@ export class DataCard {
       this.showFacts();
       this.draw();
     });
-    by("time-unit").addEventListener("change", () => (this.files.length && by("time").value ? this.look(by("time-unit").value.trim() || "s") : this.showChannels()));
+    by("time-unit").addEventListener("change", () => (this.files.length ? this.look(by("time-unit").value.trim() || "s") : this.showChannels()));
     this.watchDrop(by("drop"));
   }
 
@@ -94,8 +94,9 @@ export class DataCard {
     const [first] = this.files;
     this.complainAt('[data-field~="t"]', "");
     try {
-      if (by("time").value || by("by").value) first.preview = await preview(first.file, first.name, by("time").value, unit, by("by").value);
+      if (unit || by("time").value || by("by").value) first.preview = await preview(first.file, first.name, by("time").value, unit, by("by").value);
       by("time-unit").value = first.preview.time_unit;
+      by("dt").placeholder = String(first.preview.dt ?? 1);
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
       this.complainAt('[data-field~="t"]', error.message);
