@@ -167,9 +167,9 @@ def _one_after_the_other(  # noqa: PLR0913
         fit = kept.within("round 1").fit(best.model, partial(finished, best, series, told))
     for k in range(len(rounds), max_effects + 1):
         taken = None if tails is None else tails.effect
-        # outliers hide all else from the first screen, so that after them is the first once more
-        first_look = k == 0 or (tails is not None and len(rounds) == 1)
-        level = alpha if first_look else LATER * alpha
+        # outliers hide all else from the first screen, so that after them is held to its level once more
+        behind_tails = tails is not None and len(rounds) == 1
+        level = alpha if k == 0 else FIRST * alpha if behind_tails else LATER * alpha
         here = kept.within(f"round {k + 1}")
         setting = setting.beside(fit.model)
         question = Question(fit, series, setting, kinds)
@@ -182,12 +182,12 @@ def _one_after_the_other(  # noqa: PLR0913
                 raise
             alarm = False  # all that was asked for is found
             break
-        seen = seen.sharing(FIRST) if first_look else seen
+        seen = seen.sharing(FIRST) if k == 0 else seen
         if simulating and decides(seen.family_wise_at, level, seen):
             seen = calibrated(seen, question, level, seed + k, progress, here)
         alarm = seen.p_value <= level
         swallowed: list[Refit] = []
-        if not alarm and first_look:
+        if not alarm and k == 0:
             swallowed = refit_swallowed(fit, series, seen, progress, here)
             refitted = swallowed_p(seen, swallowed)
             if refitted <= alpha < swallowed_p(seen, swallowed, BOLDEST):
