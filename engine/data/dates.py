@@ -19,6 +19,7 @@ NAMED = re.compile(
 )
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 ZONE = re.compile(r"\s*(?:UTC|GMT)$|\s+(?=[+-]\d\d:?\d\d$)")  # set apart, or by its name
+OF_A_DAY = re.compile(r"(\d{4}-\d\d-\d\d)(Z|[+-]\d\d:?\d\d)")  # Python reads it as a time of day
 EVEN = 0.9  # the shortest step as a share of the longest, from which on steps are even
 DAY_FIRST, MONTH_FIRST = "day/month/year", "month/day/year"
 
@@ -44,7 +45,7 @@ def date_of(text: str) -> datetime | None:
         day, month, year, hour, rest = named.groups()
         return _date(year, str(1 + MONTHS.index(month.lower())), day, hour, rest)
     try:
-        return datetime.fromisoformat(text)
+        return datetime.fromisoformat(OF_A_DAY.sub(r"\1T00:00\2", text))
     except ValueError:
         return None
 
