@@ -24,7 +24,6 @@ CLOSEST = 1e-13  # of it: a distance that is as good as none
 HALVINGS = 40
 ROOM = 0.9  # of the way to the edge, that a step may go
 LENGTHS = 0.5 ** np.arange(12.0)  # of a step
-STEPS = 40
 SLIGHT = 0.1  # nats expected, with which a place counts as the highest where no step of any length is better
 RIDGE = 1e-8  # of the information scaled to a unit diagonal
 
@@ -53,14 +52,16 @@ class Edge:
     likelihoods: Callable[[Array], Array]
     at: Callable[[Array], Place]
 
-    def climbed(self, here: Place, tolerance: float, converged: bool) -> tuple[Place, bool]:
+    def climbed(
+        self, here: Place, tolerance: float, converged: bool, most: int
+    ) -> tuple[Place, bool]:
         """The highest place along the edge, and whether no more than the tolerance is expected beyond it.
 
-        Where no edge is seen and nothing is gained, it is as ``converged`` says: where it is the filter that is
-        lost, a bound that was learnt holds the place.
+        After ``most`` steps it ends wherever it is. Where no edge is seen and nothing is gained, it is as
+        ``converged`` says: where it is the filter that is lost, a bound that was learnt holds the place.
         """
         idle = 0  # steps in turn that gained next to nothing, as at a kink
-        for _ in range(STEPS):
+        for _ in range(most):
             step, normal = self._step(here, tolerance)
             expected = float(here.g @ step)
             if not expected > tolerance:

@@ -15,15 +15,12 @@ EVEN = 0.999  # of one side's step, from which the other is as long
 SMALL = 0.01  # of a value, up to which a step is small beside it
 
 
-def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Rows theta, then theta -+ a step in each free parameter; distances between the pairs (n,)."""
+def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> Array:
+    """Rows theta, then theta -+ a step in each free parameter (1 + 2 n, n_theta)."""
     thetas = [np.array(theta)]
-    distances = []
     for k in indices:
-        low, high = _beside(model, theta, int(k))
-        thetas += [low, high]
-        distances.append(high[k] - low[k])
-    return np.array(thetas), np.array(distances)
+        thetas += _beside(model, theta, int(k))
+    return np.array(thetas)
 
 
 def _beside(model: MixedModel, theta: Array, k: int) -> tuple[Array, Array]:

@@ -220,7 +220,8 @@ def quasi_ml(  # noqa: PLR0913
     bounds = model.lower[indices], model.upper[indices]
     if not given_up and edges.narrower_than(*bounds):
         edge = _edge(model, all_series, theta, indices, visited)
-        place, converged = edge.climbed(Place(theta[indices], value, g, H), tolerance, converged)
+        here = Place(theta[indices], value, g, H)
+        place, converged = edge.climbed(here, tolerance, converged, max_iterations)
         theta, value, H = free_thetas(theta, indices, place.x[None])[0], place.value, place.H
     best = Theta(theta, model.parameter_names)
     return QuasiFit(given, best, float(value), names, H, iterations, converged, given_up)
@@ -395,7 +396,7 @@ def derivatives(
     between the neighbours of theta tell the slope of the side that does not. So does a neighbour that has no
     likelihood. Raises ModelError where the model fails at theta.
     """
-    thetas, _ = neighbours(model, theta, indices)
+    thetas = neighbours(model, theta, indices)
     n = len(indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
     for i, one in enumerate(all_series):

@@ -21,6 +21,7 @@ from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel,
 from engine.statespace.shapes import squared
 from engine.threads import single_threaded
 from engine.views import Figures, Shown, figures, plots
+from engine.words import enumerated
 
 SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
 LEFT = 1e-7  # of a state's size, and of its way: by what differences leave it may be moved
@@ -190,6 +191,11 @@ def _matrices(
     ``left`` is by how much each may differ, besides.
     """
     value, matrix, cov = at
+    lost = [name for name, part in zip(names, at, strict=True) if not np.isfinite(part).all()]
+    if lost and not points.shape[1]:  # no state is at fault
+        raise ModelError(
+            f"model '{model.name}': {enumerated(lost)} not finite at this theta", numeric=True
+        )
     more: Any = left or (0.0, 0.0, 0.0)
     common = []
     for name, m, own in ((names[1], matrix, more[1]), (names[2], cov, more[2])):
@@ -276,7 +282,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     Raises
     ------
     ModelError
-        The model is not linear Gaussian in x = (a, z) at this theta.
+        The model is not linear Gaussian in x = (a, z) at this theta, or not finite.
     SeriesError
         Channels or units are not the model's, or nothing was measured; names the channel.
     """

@@ -48,10 +48,8 @@ def no_number(model: MixedModel, name: str, a: Array, values: tuple[Array, Array
     n = len(a)
     if not (model.na and n):
         return ""
-    own = [
-        values[0],
-        *(one for one in values[1:] if one.ndim == 3 and len(one) == n),
-    ]  # not common to all
+    # those of each state, not common to all
+    own = [values[0], *(one for one in values[1:] if one.ndim == 3 and len(one) == n)]
     lost = np.any([np.isnan(value).reshape(n, -1).any(axis=1) for value in own], axis=0)
     lost &= np.isfinite(a).all(axis=1)
     if not lost.any():
@@ -61,7 +59,7 @@ def no_number(model: MixedModel, name: str, a: Array, values: tuple[Array, Array
         for (state, unit), value in zip(model.nonlinear.items(), a[lost][0].tolist(), strict=True)
     ]
     return (
-        f"At {enumerated(states)} its {name} has no number. A root or a logarithm of a state has none below "
-        "zero: where a run or a filter may get there, say what holds there, as in "
-        "np.sqrt(np.maximum(a[:, 0], 0.0)), or take the state's logarithm for the state"
+        f"At {enumerated(states)} its {name} has no number, as a root or a logarithm of something below zero "
+        "has none, nor a difference of what overflows. Where a run or a filter may get there, say what holds "
+        "there, as in np.sqrt(np.maximum(a[:, 0], 0.0)), or take the state's logarithm for the state"
     )

@@ -98,7 +98,7 @@ def parameter_columns(
     """The directions of the estimated parameters; none of one on whose both sides the model cannot be had."""
     if not len(indices):
         return []
-    thetas, _ = neighbours(model, theta, indices)
+    thetas = neighbours(model, theta, indices)
     filtered, ends = alive(filter_neighbours(model, thetas, series), thetas)
     distances = sides(ends, indices)[2]
     pairs = [(1 + 2 * i, 2 + 2 * i, float(d) or 1.0) for i, d in enumerate(distances)]

@@ -175,15 +175,15 @@ def tails_information(fit: QuasiFit, effect: Effect, series: Series, extended: A
     """
     theta, own = np.split(extended, [len(fit.theta)])
     indices = fit.model.free_indices(fit.free)
-    thetas, _ = neighbours(fit.model, theta, indices)
+    thetas = neighbours(fit.model, theta, indices)
     steps = DIFFERENCE * own
     beside = own + np.repeat(np.diag(steps), 2, axis=0) * [[-1.0], [1.0], [-1.0], [1.0]]
     every = np.concatenate([thetas, np.repeat(theta[None], 4, axis=0)])
     pairs = np.concatenate([np.repeat(own[None], len(thetas), axis=0), beside])
     points = np.hstack([every, pairs])
     filtered, points = alive(moment_filter(effect.apply(fit.model), points, series), points)
-    apart = zip(sides(points[: len(thetas)], indices), (steps, steps, 2.0 * steps), strict=True)
-    known = np.nan_to_num(slopes(filtered.log_terms, *map(np.concatenate, apart)))
+    every_one = np.append(indices, len(theta) + np.arange(len(own)))
+    known = np.nan_to_num(slopes(filtered.log_terms, *sides(points, every_one)))
     return np.asarray(known.T @ known)
 
 

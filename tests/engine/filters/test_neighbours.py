@@ -79,7 +79,7 @@ def test_such_a_model_is_called_once_at_every_time():
         return model.dynamics(a, u, t, dt, theta)
 
     counting = replace(model, dynamics=counted)
-    thetas, _ = neighbours(counting, np.asarray(model.theta()), np.arange(5))
+    thetas = neighbours(counting, np.asarray(model.theta()), np.arange(5))
     filter_neighbours(counting, thetas, series)  # looks what the function takes
     calls.update(all=0, single=0)
     filter_neighbours(counting, thetas, series)
@@ -91,7 +91,7 @@ def test_such_a_model_is_called_once_at_every_time():
 
 def test_blocks_of_rows_make_no_difference(monkeypatch):
     model, series = record("tanks")
-    thetas, _ = neighbours(model, np.asarray(model.theta()), np.arange(4))
+    thetas = neighbours(model, np.asarray(model.theta()), np.arange(4))
     whole = followed(FilterSteps(model, Thetas(model, thetas), series))
     monkeypatch.setattr(module, "NUMBERS", 2000)
     parts = followed(FilterSteps(model, Thetas(model, thetas), series))
@@ -117,7 +117,7 @@ def test_a_step_of_an_input_seen_by_no_other_row_is_not_taken_for_another():
     u = rng.standard_normal(60)
     y = rng.standard_normal((60, 1)) * 1e-3
     series = Series(y, u=u, t=t)
-    thetas, _ = neighbours(model, np.asarray(model.theta()), np.arange(len(model.parameters)))
+    thetas = neighbours(model, np.asarray(model.theta()), np.arange(len(model.parameters)))
     near = followed(FilterSteps(model, Thetas(model, thetas), series))
     exact = moment_filter(model, thetas, series)
     assert np.allclose(near.innovations, exact.innovations, rtol=1e-6, atol=1e-9)
@@ -134,8 +134,8 @@ def test_points_of_another_theta_lead_to_the_same_filter(name, share):
     before = np.clip(
         theta * (1.0 + share * rng.uniform(-1.0, 1.0, len(theta))), model.lower, model.upper
     )
-    filter_neighbours(model, neighbours(model, before, free)[0], series, visited)
-    thetas, _ = neighbours(model, theta, free)
+    filter_neighbours(model, neighbours(model, before, free), series, visited)
+    thetas = neighbours(model, theta, free)
     found = filter_neighbours(model, thetas, series, visited)
     exact = moment_filter(model, thetas, series)
     np.testing.assert_allclose(found.log_terms[:, 0], exact.log_terms[:, 0], rtol=1e-7, atol=1e-9)

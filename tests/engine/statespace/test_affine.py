@@ -311,7 +311,7 @@ def test_filters_side_by_side_are_those_of_each(force):
     written = Textbook(FORCES[force])
     model, rng = written.model, np.random.default_rng(7)
     series = Series(rng.standard_normal((T, 1)), u=inputs(), dt=0.1)
-    thetas, _ = neighbours(model, np.asarray(model.theta()), np.arange(5))
+    thetas = neighbours(model, np.asarray(model.theta()), np.arange(5))
     found = filter_neighbours(model, thetas, series)
     exact = moment_filter(model, thetas, series)
     single = Textbook(FORCES[force], late=lambda t: 0.0).model  # reads the time: called row by row

@@ -9,7 +9,7 @@ from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_path
 from engine.statespace.had import can_be_had, first_that_can_be_had
 
-BELOW = r"At h = -0\.\d+ m its dynamics has no number\. A root or a logarithm .* np\.sqrt"
+BELOW = r"At h = -0\.\d+ m its dynamics has no number, as a root or a logarithm .* np\.sqrt"
 
 
 def tank(root=lambda h: np.sqrt(h), seen=lambda h: h):

@@ -29,6 +29,7 @@ from engine.diagnose.records import Records
 from engine.diagnose.symptoms.runs import noise_free
 from engine.errors import EngineError
 from engine.estimation.differences import neighbours
+from engine.estimation.jumps import sides
 from engine.estimation.quasi_ml import quasi_ml, whitening
 from engine.filters.neighbours import filter_neighbours
 from engine.filters.sigma_point import moment_filter
@@ -67,7 +68,9 @@ def measure_of(base: Base, scatter: str = "") -> Measure:
 
 def _by_innovations(base: Base) -> Measure:
     model, theta, series = base.model, np.asarray(base.theta), base.series
-    thetas, distances = neighbours(model, theta, model.free_indices(base.free))
+    free = model.free_indices(base.free)
+    thetas = neighbours(model, theta, free)
+    distances = sides(thetas, free)[2]
     f = filter_neighbours(model, thetas, series)
     root = whitening(f.S[:, 0], series.observed)
     slopes = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2]) / distances[:, None]
