@@ -95,7 +95,9 @@ def of_moments_and_runs() -> None:
     diagnose(get_model("local-level"), Series(rng.standard_normal(40)), effects=["drag"])
     path = moment_path(walk, walk.theta(), short)
     T, nx, ny = len(short), walk.nx, walk.ny
-    footprints(path.F, path.H, path.K, np.zeros((T - 1, nx)), np.zeros((T, ny)), np.ones((T, 1)))
+    added = np.zeros((T - 1, nx)), np.zeros((T, ny))
+    whitened = np.zeros((T, ny, ny)), np.zeros((T, ny))
+    footprints(path.F, path.H, path.K, *whitened, *added, np.ones((T, 1)))
     tanks = get_model("tanks")
     measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]], n_starts=1)

@@ -15,37 +15,51 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
-def footprints(F, H, K, b, e, gate):
-    """g (T, n, ny) of n changes; F (T-1, nx, nx), H (T, ny, nx), K (T, nx, ny).
+def footprints(F, H, K, root, z, b, e, gate):
+    """What n changes add to the whitened innovations, (n, T, ny), and its products with them, (n, T).
 
-    b (T-1, nx) and e (T, ny) are one driver, ``gate`` (T, n) the factor it has in each change.
+    F (T-1, nx, nx), H (T, ny, nx), K (T, nx, ny); ``root`` = S^{-1/2} (T, ny, ny), z = S^{-1/2} nu (T, ny).
+    b (T-1, nx) and e (T, ny) are one driver, ``gate`` (T, n) the factor it has in each change. Zero where it is
+    no number.
     """
     T, ny, nx = H.shape
     n = gate.shape[1]
-    g = np.empty((T, n, ny))
-    xi = np.zeros((n, nx))
-    v = np.empty(nx)
-    for t in range(T):
-        for k in range(n):
-            w = gate[t, k]
+    added, products = np.zeros((n, T, ny)), np.zeros((n, T))
+    begin = 0
+    while begin < T and not gate[begin].any():
+        begin += 1
+    # the changes side by side: loops over them are made of vector instructions
+    xi, g, v, one = np.zeros((nx, n)), np.empty((ny, n)), np.empty((nx, n)), np.empty(n)
+    for t in range(begin, T):
+        for i in range(ny):
+            for k in range(n):
+                g[i, k] = e[t, i] * gate[t, k]
+            for j in range(nx):
+                for k in range(n):
+                    g[i, k] += H[t, i, j] * xi[j, k]
+        for p in range(ny):
+            one[:] = 0.0
             for i in range(ny):
-                s = e[t, i] * w
-                for j in range(nx):
-                    s += H[t, i, j] * xi[k, j]
-                g[t, k, i] = s
-            if t == T - 1:
-                continue
-            for j in range(nx):
-                s = xi[k, j]
-                for i in range(ny):
-                    s -= K[t, j, i] * g[t, k, i]
-                v[j] = s
-            for j in range(nx):
-                s = b[t, j] * w
-                for i in range(nx):
-                    s += F[t, j, i] * v[i]
-                xi[k, j] = s
-    return g
+                for k in range(n):
+                    one[k] -= root[t, p, i] * g[i, k] if g[i, k] == g[i, k] else 0.0
+            for k in range(n):
+                added[k, t, p] = one[k]
+                products[k, t] -= one[k] * z[t, p]
+        if t == T - 1:
+            break
+        for j in range(nx):
+            for k in range(n):
+                v[j, k] = xi[j, k]
+            for i in range(ny):
+                for k in range(n):
+                    v[j, k] -= K[t, j, i] * g[i, k]
+        for j in range(nx):
+            for k in range(n):
+                xi[j, k] = b[t, j] * gate[t, k]
+            for i in range(nx):
+                for k in range(n):
+                    xi[j, k] += F[t, j, i] * v[i, k]
+    return added, products
 
 
 @njit(cache=True, error_model="numpy")

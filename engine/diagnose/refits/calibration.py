@@ -13,8 +13,8 @@ and its p-value counts as p^(1 / boldness); what the smallest p-value of all is 
 over that of the data's draws: a score that few times make up raises their p-values, which the data's own
 p-value has in it already.) Ratios of means need far fewer series than tails of distributions.
 The simulation is made only where it decides:
-where an alarm would be none at BOLDEST. Only effects that may decide are screened again, and as many others
-as tell the overall mean.
+where an alarm would be none at BOLDEST. Only effects that may decide are screened again on each series, and
+of the others some, in turn, which tell the overall mean.
 
 Refits of what process noise has swallowed are judged by simulation alone: until ENOUGH simulated series
 show as small a p-value, ENOUGH / alpha - 1 of them at most (Besag, Clifford 1991). One would do for the level
@@ -47,7 +47,8 @@ BOLDEST = 2.0  # p-values with more than twice the logarithm they should have ar
 SERIES = 19
 FEWEST, CLEARLY = 7, 4.0
 ENOUGH = 3  # simulated series with as small a p-value of refits, for no alarm
-OTHERS = 40  # effects that are screened again for the overall mean
+OTHERS = 40  # effects that are screened again for the overall mean ...
+TURNS = 4  # ... each on every so many-th series
 PRIOR = 10.0  # series that the overall mean stands for
 LEAST_P = 1e-300  # of which there is a logarithm
 LEVEL = 0.05  # of a screen whose threshold nobody asks for
@@ -82,10 +83,11 @@ def calibrated(
     expected: list[float] = []
     # the model may not let itself be simulated: then the least that may be believed
     judged = with_boldness(seen, np.full(len(names), BOLDEST), SERIES)
-    question = replace(question, kinds=_telling(seen))
+    near, others = _telling(seen)
     for k in range(SERIES):
         progress("calibration", k / SERIES)
-        one = partial(simulated_logs, question, names, [seed, k, SERIES])
+        asked = replace(question, kinds=[*near, *others[k % TURNS :: TURNS]])
+        one = partial(simulated_logs, asked, names, [seed, k, SERIES])
         row = kept.numbers(f"calibrated {k + 1}", one)
         if row is None:
             continue
@@ -100,13 +102,13 @@ def calibrated(
     return judged
 
 
-def _telling(seen: Screen) -> list[str]:
+def _telling(seen: Screen) -> tuple[list[str], list[str]]:
     """Names of the effects whose p-values may decide, at BOLDEST, and of OTHERS that stand for all the rest."""
     by_p = sorted(seen.scores, key=lambda score: (score.p_value, score.effect.name))
     least = by_p[0].p_value ** (1.0 / BOLDEST)
     near = [score.effect.name for score in by_p if score.p_value <= least]
     rest = sorted(score.effect.name for score in by_p if score.p_value > least)
-    return [*near, *rest[:: max(len(rest) // OTHERS, 1)]]
+    return near, rest[:: max(len(rest) // OTHERS, 1)]
 
 
 def boldness(x: Array, expected: Array) -> Array:

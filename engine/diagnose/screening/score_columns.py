@@ -46,34 +46,50 @@ UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One direction in which the model might be wrong: contributions s (T,) and vector v."""
+    """One direction in which the model might be wrong: contributions s (T,) and vector v.
+
+    Of v the means' part may be all, where covariances stay as they are.
+    """
 
     s: Array
     v: Array
 
 
 class Projection:
-    """Takes the fitted parameters' directions out of columns."""
+    """Takes the fitted parameters' directions out of columns: ``axes`` (r, .), orthonormal; scores (r, T)."""
 
     def __init__(self, nuisance: Sequence[Column]) -> None:
-        self.n = len(nuisance)
-        if not self.n:
+        self.axes, self.scores = np.empty((0, 0)), np.empty((0, 0))
+        if not nuisance:
             return
         V = np.array([c.v for c in nuisance])
-        self.s = np.array([c.s for c in nuisance])
-        size = np.sqrt((V**2).sum(axis=1))
-        self.size = np.where(size > 0.0, size, 1.0)
-        self.V = V / self.size[:, None]
+        size = np.linalg.norm(V, axis=1, keepdims=True)
+        size[size == 0.0] = 1.0
+        turned, stretched, axes = np.linalg.svd(V / size, full_matrices=False)
         # a direction that parameters leave open holds what differences leave of it, and no information: at a
         # bound, on one side of it, more than rounding
-        self.inverse = np.linalg.pinv(self.V @ self.V.T, rcond=FLAT**2, hermitian=True)
+        known = stretched > FLAT * stretched[0]
+        s = np.array([c.s for c in nuisance]) / size
+        self.axes = axes[known]
+        self.scores = (turned[:, known] / stretched[known]).T @ s
 
     def __call__(self, s: Array, v: Array) -> tuple[Array, Array]:
         """Projected s (n, T) and v (n, .)."""
-        if not self.n:
-            return s, v
-        coefficients = (v @ self.V.T) @ self.inverse
-        return s - coefficients @ (self.s / self.size[:, None]), v - coefficients @ self.V
+        along, s = self.along(s, v)
+        return s, self.apart(v, along)
+
+    def along(self, s: Array, v: Array) -> tuple[Array, Array]:
+        """How far v (n, .) go along the axes, (n, r), and projected s (n, T)."""
+        along = v @ self.axes[:, : v.shape[1]].T if len(self.axes) else np.empty((len(v), 0))
+        return along, s - along @ self.scores if len(self.axes) else s
+
+    def apart(self, v: Array, along: Array) -> Array:
+        """v (n, .) without what goes so far along the axes."""
+        if not len(self.axes):
+            return v
+        out = -along @ self.axes
+        out[:, : v.shape[1]] += v
+        return np.asarray(out)
 
 
 def innovation_columns(

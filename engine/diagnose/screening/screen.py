@@ -242,13 +242,19 @@ def _score(test: Test, p_value: float, effective: float) -> Score:
 
 def _likenesses(tests: Sequence[Test]) -> Array:
     """How much of what either of two tests explains the other does, too, (n, n); 0 where one is nothing."""
-    columns = np.concatenate([_unit(test.vectors) for test in tests])
-    explained = _unit(np.array([test.explained for test in tests]))
+    longest = max(test.vectors.shape[1] for test in tests)  # of some the means' part is all
+    columns = np.concatenate([_as_long(_unit(test.vectors), longest) for test in tests])
+    explained = np.concatenate([_as_long(_unit(test.explained[None]), longest) for test in tests])
     owners = np.repeat(np.arange(len(tests)), [len(test.vectors) for test in tests])
     squares = np.zeros((len(tests), len(tests)))
     np.add.at(squares, owners, (columns @ explained.T) ** 2)
     shares = np.sqrt(squares)
     return np.asarray(np.minimum(shares, shares.T))
+
+
+def _as_long(rows: Array, n: int) -> Array:
+    """Rows (., m) of n numbers, those beyond m zero."""
+    return np.pad(rows, ((0, 0), (0, n - rows.shape[1])))
 
 
 def _unit(rows: Array) -> Array:
@@ -332,17 +338,18 @@ def make_test(
         v = np.array([c.v for _, c in columns])
         with np.errstate(over="ignore", invalid="ignore"):
             before = _squares(v)
-            s, v = projection(s, v)
-            norm = _squares(v)
+            along, s = projection.along(s, v)
+            norm = before - _squares(along)
             lost = ~np.isfinite(before + norm + s.sum(axis=1) ** 2)
-        for each in (s, v, before, norm):
+        for each in (s, v, along, before, norm):
             each[lost] = 0.0  # a filter that runs away shows nothing
         rho = np.divide(norm, before, out=np.zeros(len(before)), where=before > 0.0)
         nothing = rho <= UNTESTABLE
-        v[nothing], norm[nothing] = 0.0, 0.0
+        for each in (v, along, norm):
+            each[nothing] = 0.0
         if degrees > 1:
-            s, v = _decorrelate(s, v, degrees)
-            norm = _squares(v)
+            s, v = _decorrelate(s, projection.apart(v, along), degrees)
+            along, norm = np.zeros_like(along), _squares(v)
         parts.append((s, norm, rho))
         at += [point for point, _ in columns[::degrees]]
         use = norm > 0.0
@@ -350,7 +357,8 @@ def make_test(
         together = statistics.reshape(-1, degrees).sum(axis=1)
         k = int(np.argmax(together))
         if together[k] > best:
-            best, vectors = float(together[k]), v[k * degrees : (k + 1) * degrees]
+            own = slice(k * degrees, (k + 1) * degrees)
+            best, vectors = float(together[k]), projection.apart(v[own], along[own])
     if not parts:
         return None
     s, norm, rho = (np.concatenate(x) for x in zip(*parts, strict=True))

@@ -49,22 +49,22 @@ def family_test(
 ) -> Test | None:
     """The test of a timed effect over its whole grid; None where it leaves no footprint."""
     root, _, _, z = whitened(path, series)
-    turned, (T, ny) = np.swapaxes(root, -1, -2), z.shape
     degrees = 2 if effect.traits.course is Course.HARMONIC else 1
 
-    def shown(driver: Driver, gate: Array) -> Array:
-        """What the driver leaves in the whitened predictions (n, T, ny), for factors (T, n) in time."""
-        g = footprints(path.F, path.H, path.K, *driver, np.ascontiguousarray(gate))
-        return np.asarray(np.swapaxes(np.nan_to_num(g) @ turned, 0, 1))
+    def shown(driver: Driver, gate: Array) -> tuple[Array, Array]:
+        """What the driver leaves in the whitened predictions, for factors (T, n) in time."""
+        way = path.F, path.H, path.K, root, z
+        found: tuple[Array, Array] = footprints(*way, *driver, np.ascontiguousarray(gate))
+        return found
 
     def chunks(driver: Driver, at: Sequence[tuple[float, ...]], gate: Array) -> Iterator[Chunk]:
         for start in range(0, gate.shape[1], CHUNK):
-            G = shown(driver, gate[:, start : start + CHUNK])
-            s = np.einsum("ktp,tp->kt", G, z)
-            v = np.zeros((len(G), T * (1 + ny), ny))
-            np.negative(G, out=v[:, :T])
-            v = v.reshape(len(G), -1)
+            added, s = shown(driver, gate[:, start : start + CHUNK])
+            v = added.reshape(len(added), -1)  # of means alone
             yield [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
+
+    def information(driver: Driver, gate: Array) -> Array:
+        return np.asarray((shown(driver, gate)[0] ** 2).sum(axis=(1, 2)))
 
     if effect.traits.course is Course.EPISODE:
         driver = _driver(effect, model, theta, series, path)
@@ -73,7 +73,7 @@ def family_test(
             return make_test(effect, chunks(driver, at, gate), projection, degrees)
 
         return _episode_test(
-            series, pulse_scores(path, series, *driver), partial(shown, driver), tested
+            series, pulse_scores(path, series, *driver), partial(information, driver), tested
         )
     every, tries = list[Iterator[Chunk]](), 1
     for probe in effect.probes if effect.traits.of_gain else effect.probes[:1]:
@@ -88,7 +88,7 @@ def family_test(
 def _episode_test(
     series: Series,
     of_rows: tuple[Array, Array],
-    shown: Callable[[Array], Array],
+    information_of: Callable[[Array], Array],
     tested: Callable[[Sequence[tuple[float, ...]], Array], Test | None],
 ) -> Test | None:
     """The test of what begins and is over again: of windows that promise most, and of more near the best."""
@@ -103,7 +103,7 @@ def _episode_test(
         return out
 
     def known(windows: Sequence[Window]) -> Array:
-        return np.asarray((shown(gates(windows)) ** 2).sum(axis=(1, 2)))
+        return information_of(gates(windows))
 
     def test_of(windows: Sequence[Window]) -> Test | None:
         at = [(float(series.t[rows[begin]]), float(series.t[rows[end]])) for begin, end in windows]

@@ -13,6 +13,7 @@ from engine.diagnose.refits import calibration
 from engine.diagnose.refits.calibration import (
     BOLDEST,
     OTHERS,
+    TURNS,
     Question,
     boldness,
     calibrated,
@@ -123,17 +124,20 @@ def test_a_bold_model_has_its_alarm_taken_back(monkeypatch):
         assert first.p_of(13.0) == pytest.approx(p ** (1.0 / first.boldness))
 
 
-def test_what_may_decide_is_screened_again_and_as_many_others_as_tell_the_mean(monkeypatch):
+def test_what_may_decide_is_screened_again_each_time_and_others_in_turn(monkeypatch):
     seen = a_screen(statistic=13.0)
     asked = []
     monkeypatch.setattr(calibration, "simulated_logs", lambda q, *a: asked.append(q.kinds))
     calibrated(seen, NOBODY, ALPHA, 0, silent)
-    names = asked[0]
     least = min(score.p_value for score in seen.scores) ** (1.0 / BOLDEST)
     near = {score.effect.name for score in seen.scores if score.p_value <= least}
-    assert near <= {*names}
-    assert len(names) == len({*names}) <= len(near) + 2 * OTHERS
-    assert len(names) >= min(len(seen.scores), OTHERS)
+    for names in asked:
+        assert near <= {*names}
+        assert len(names) == len({*names}) <= len(near) + 2 * OTHERS // TURNS
+    in_turn = [set(names) - near for names in asked[:TURNS]]
+    together = set().union(*in_turn)
+    assert sum(map(len, in_turn)) == len(together)
+    assert len(near | together) >= min(len(seen.scores), OTHERS)
 
 
 def test_a_model_that_cannot_be_simulated_is_believed_least(monkeypatch):
