@@ -16,6 +16,8 @@ from engine.kernels.taped import filter_taped
 from engine.statespace.model import Array
 from engine.statespace.on_tape import SHORTEST, OnTape, on_tape
 
+LEAST = -1e12  # nats of a row: a filter that predicts it worse is lost, though its numbers may still be finite
+
 
 @dataclass
 class Tapes:
@@ -35,7 +37,10 @@ class Tapes:
         return self.reading.arguments, moving.arguments, record
 
     def hold(self, done: bool, terms: Array) -> bool:
-        """Whether they were gone through to the end (``done``), and are there what calls say."""
+        """Whether they were gone through to the end (``done``), and are there what calls say.
+
+        Not of filters that are lost by their ``terms`` (T,) or (T, K).
+        """
         both, series = (self.reading, self.moving), self.series
         T = len(series)
         if not done:
@@ -44,8 +49,10 @@ class Tapes:
             return False
         if any(function.lines.raises for function in both) and not np.isfinite(terms).all():
             return False  # of parameters that lose the filter calls tell why
+        lost = ~(terms.reshape(T, -1) > LEAST).all(axis=0)
         if not (
-            self.reading.agrees(T - 1) and (T - 1 in series.begins or self.moving.agrees(T - 2))
+            self.reading.agrees(T - 1, lost=lost)
+            and (T - 1 in series.begins or self.moving.agrees(T - 2, lost=lost))
         ):
             return False
         for function in both:

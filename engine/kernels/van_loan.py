@@ -13,6 +13,7 @@ MOST_ORDERS = 24
 ROUNDING = 2.0**-54
 MOST_HALVINGS = 1000
 SWEEPS = 12  # of balancing, at most
+NEAR = 1.25  # times the norm of the system before: its units will do
 BLOCK = 64  # systems side by side: loops over them are made of vector instructions
 
 
@@ -68,6 +69,7 @@ def integrals(F, G, Qc, dt, count, with_A):
     """
     n = len(F)
     h, halvings = np.empty(count), np.zeros(count, dtype=np.int64)
+    units, known = np.ones(n), 0.0
     largest, most = 0.0, 0
     for k in range(count):
         norm = 0.0  # the largest sum of absolute values of a row
@@ -79,7 +81,10 @@ def integrals(F, G, Qc, dt, count, with_A):
                 norm = row
         stiffness = dt[k] * norm
         if stiffness > LONGEST:  # seldom: then it is worth to look whether units make it so
-            stiffness = dt[k] * min(norm, _balanced_norm(F[:, :, k], dt[k]))
+            balanced = _norm_in(units, F[:, :, k])
+            if not balanced <= max(NEAR * known, LONGEST / dt[k]):  # the last system's units are no longer good
+                balanced = known = _balanced_norm(F[:, :, k], dt[k], units)
+            stiffness = dt[k] * min(norm, balanced)
         if stiffness > LONGEST and stiffness < 2.0**MOST_HALVINGS:
             halvings[k] = math.ceil(math.log2(stiffness / LONGEST))
             most = max(most, halvings[k])
@@ -207,8 +212,22 @@ def _add_where(what, more, total):
 
 
 @njit(cache=True, error_model="numpy")
-def _balanced_norm(F, dt):
-    """The norm of F in units of the states in which it is small: D^-1 F D with D of powers of two.
+def _norm_in(units, F):
+    """The norm of D^-1 F D, D = diag(``units``)."""
+    norm = 0.0
+    for i in range(len(F)):
+        row = 0.0
+        for j in range(len(F)):
+            row += abs(F[i, j]) * units[j]
+        row /= units[i]
+        if not row <= norm:
+            norm = row
+    return norm
+
+
+@njit(cache=True, error_model="numpy")
+def _balanced_norm(F, dt, units):
+    """The norm of F in ``units`` (n,) of the states in which it is small: D^-1 F D with D of powers of two.
 
     The series and their doubling are the same in any such units, to the last bit, so that only the norm of F
     need be known in them. Rows and columns are made equally large (Parlett, Reinsch 1969), as far as they
@@ -216,6 +235,7 @@ def _balanced_norm(F, dt):
     """
     n = len(F)
     scaled = F.copy()
+    units[:] = 1.0
     small = 0.25 * LONGEST / (n * dt)
     for _ in range(SWEEPS):
         moved = False
@@ -234,13 +254,11 @@ def _balanced_norm(F, dt):
             if factor == 1.0:
                 continue
             moved = True
+            units[i] *= factor
             for j in range(n):
                 if j != i:
                     scaled[i, j] /= factor
                     scaled[j, i] *= factor
         if not moved:
             break
-    norm = 0.0
-    for i in range(n):
-        norm = max(norm, np.abs(scaled[i]).sum())
-    return norm
+    return _norm_in(units, F)

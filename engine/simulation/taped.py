@@ -47,8 +47,12 @@ def run_by_tape(
     lost = ~np.isfinite(X).all(axis=(1, 2))
     if moving.lines.raises and lost.any():
         return None  # of parameters with which it runs away calls tell why
-    last = int(np.argmax(lost)) - 1 if K == 1 and lost.any() else T - 2
-    if not moving.agrees(last):
+    if K == 1 and lost.any():
+        half = int(np.argmax(lost)) // 2  # just before it is lost differences are nothing but rounding
+        agrees = moving.agrees(half, X[half, :, :na])
+    else:
+        agrees = moving.agrees(T - 2)
+    if not agrees:
         return None
     moving.note(done)
     return X

@@ -96,11 +96,17 @@ class OnTape:
         lines = self.lines
         return lines.codes, lines.links, lines.space, lines.places, lines.results, self.results
 
-    def agrees(self, t: int, a: Array | None = None, share: float = SAME) -> bool:
+    def agrees(
+        self,
+        t: int,
+        a: Array | None = None,
+        share: float = SAME,
+        lost: NDArray[np.bool_] | None = None,
+    ) -> bool:
         """Whether a call at row t says the same, at states a (K S, na) or the last; else no tape is used.
 
         But for a ``share`` of each entry's size, or for what differences over small ways round away in a step's
-        matrices.
+        matrices: where a run is ``lost`` (K,), so far off that this is all there is.
         """
         lines = self.lines
         if a is None:
@@ -110,14 +116,20 @@ class OnTape:
             if not evaluate(*given):
                 return True  # nothing is made of it
         there = np.asarray(np.isfinite(a).all(axis=1))  # nothing is made of what others say
+        if lost is not None:
+            there &= ~np.repeat(lost, len(a) // len(lost))
         # what stops a state exactly, in one order of its sums, leaves rounding of where it was in another
         least = [np.zeros(shape) for shape in self.shapes]
         if self.moves:
             least[0][: a.shape[1]] = np.abs(a[there]).max(axis=0, initial=0.0)
+        called = self.call(t, a)
+        # of a covariance an entry is small or large beside both deviations
+        deviations = np.sqrt(_sizes(called[2], there).diagonal())
+        least[2] = np.outer(deviations, deviations)
         of_slopes = max(share, SLOPES) if self.differences else share
         shares = share, of_slopes, of_slopes
-        both = zip(self.results, self.call(t, a), least, shares, strict=True)
-        if not all(_same(taped, called, there, own, of) for taped, called, own, of in both):
+        both = zip(self.results, called, least, shares, strict=True)
+        if not all(_same(taped, own, there, size, of) for taped, own, size, of in both):
             self.kept.over = True
         return not self.kept.over
 
@@ -146,12 +158,16 @@ def _same(
 
     But for a ``share`` of each entry's size over all rows; ``least`` (...) are sizes that it has at least.
     """
+    sizes = np.maximum(_sizes(called, there), least)
     taped, called = (x[there] if len(x) > 1 else x for x in (taped, called))
-    finite = np.isfinite(called)
-    sizes = np.abs(np.where(finite, called, 0.0)).max(axis=0, initial=0.0)
-    sizes = np.maximum(sizes, least)
-    neither = ~(finite | np.isfinite(taped))
+    neither = ~(np.isfinite(called) | np.isfinite(taped))
     return bool(np.all((np.abs(taped - called) <= share * sizes) | (taped == called) | neither))
+
+
+def _sizes(of: Array, there: NDArray[np.bool_]) -> Array:
+    """The largest finite size of each entry (1 or M, ...) in rows ``there`` (M,)."""
+    rows = of[there] if len(of) > 1 else of
+    return np.asarray(np.abs(np.where(np.isfinite(rows), rows, 0.0)).max(axis=0, initial=0.0))
 
 
 def on_tape(
