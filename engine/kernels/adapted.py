@@ -74,24 +74,29 @@ def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflat
     own = np.empty((na, na, M))
     from_own, from_prior, slack_own, slack_prior = np.empty((4, na, M))
     a = np.empty((M, na))
+    alpha, mean, drawn = np.empty((3, M))
     for k in range(na):
         for q in range(na):
             for i in range(M):
                 own[k, q, i] = wide * root[n + k, n + q, i]
         for i in range(M):
-            alpha = mu[ancestors[i], k]
-            mean = alpha
-            for p in range(n):
-                mean += root[n + k, p, i] * r[p, i]
-            blind = uniform[i] < defensive
-            s = alpha if blind else mean
-            for q in range(k + 1):
-                s += (prior[k, q, i] if blind else own[k, q, i]) * noise[i, q]
-            a[i, k] = s
-            from_own[k, i] = s - mean
-            slack_own[k, i] = ROUNDING * (abs(s) + abs(mean))
-            from_prior[k, i] = s - alpha
-            slack_prior[k, i] = ROUNDING * (abs(s) + abs(alpha))
+            alpha[i] = mu[ancestors[i], k]
+            mean[i] = alpha[i]
+        for p in range(n):
+            for i in range(M):
+                mean[i] += root[n + k, p, i] * r[p, i]
+        for i in range(M):
+            drawn[i] = alpha[i] if uniform[i] < defensive else mean[i]
+        for q in range(k + 1):
+            for i in range(M):
+                scale = prior[k, q, i] if uniform[i] < defensive else own[k, q, i]
+                drawn[i] += scale * noise[i, q]
+        for i in range(M):
+            a[i, k] = drawn[i]
+            from_own[k, i] = drawn[i] - mean[i]
+            slack_own[k, i] = ROUNDING * (abs(drawn[i]) + abs(mean[i]))
+            from_prior[k, i] = drawn[i] - alpha[i]
+            slack_prior[k, i] = ROUNDING * (abs(drawn[i]) + abs(alpha[i]))
     log_q = np.empty(M)
     log_prior = np.empty(M)
     log_normal_each(own, from_own, slack_own, log_q)
@@ -165,6 +170,10 @@ def _add_slopes(mu, L, ancestors, h, C, y, channels, joint, prior, r):
     each = 1 if C.shape[0] > 1 else 0  # what a step from row to row is among the C
     at = np.empty((3, M))  # h + C zeta at the middle and to both sides of it
     width = np.empty(M)
+    zeta = np.empty((nz, M))
+    for q in range(nz):
+        for i in range(M):
+            zeta[q, i] = mu[ancestors[i], na + q]
     for k in range(na):
         width[:] = 0.0
         for q in range(k + 1):
@@ -177,10 +186,10 @@ def _add_slopes(mu, L, ancestors, h, C, y, channels, joint, prior, r):
             for side in range(3):
                 point = 0 if side == 0 else side + 2 * k
                 for i in range(M):
-                    s = h[point * M + i, there]
-                    for q in range(nz):
-                        s += C[each * (point * M + i), there, q] * mu[ancestors[i], na + q]
-                    at[side, i] = s
+                    at[side, i] = h[point * M + i, there]
+                for q in range(nz):
+                    for i in range(M):
+                        at[side, i] += C[each * (point * M + i), there, q] * zeta[q, i]
             for i in range(M):
                 if k == 0:
                     r[p, i] = y[there] - at[0, i]

@@ -29,6 +29,17 @@ from engine.kernels.resampling import normalize
 
 
 @njit(cache=True, error_model="numpy")
+def side_by_side(z):
+    """z (M, n) as (n, M): the compiler works on several particles at once where they are neighbours."""
+    M, n = z.shape
+    out = np.empty((n, M))
+    for k in range(n):
+        for i in range(M):
+            out[k, i] = z[i, k]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def predict(f, A, Q, z, Z):
     """Moments of x_{t+1} given a_{1:t}, y_{1:t}, report, eq. (22), and those of z_t given x_{t+1}.
 
@@ -43,13 +54,17 @@ def predict(f, A, Q, z, Z):
     M, nx = f.shape
     nz = z.shape[1]
     mu = np.empty((M, nx))
-    for i in range(M):
-        b = i if A.shape[0] > 1 else 0
-        for r in range(nx):
-            s = f[i, r]
-            for c in range(nz):
-                s += A[b, r, c] * z[i, c]
-            mu[i, r] = s
+    beside = side_by_side(z)
+    mean = np.empty(M)
+    each = 1 if A.shape[0] > 1 else 0  # what a step from row to row is among the A
+    for r in range(nx):
+        for i in range(M):
+            mean[i] = f[i, r]
+        for c in range(nz):
+            for i in range(M):
+                mean[i] += A[each * i, r, c] * beside[c, i]
+        for i in range(M):
+            mu[i, r] = mean[i]
     B = max(A.shape[0], Q.shape[0], Z.shape[0])
     joint = np.zeros((nx + nz, nz + nx, B))
     root = np.empty((nx + nz, nx + nz, B))
@@ -111,16 +126,18 @@ def condition(mu, L, ancestors, a):
                 for i in range(M):
                     L_a[k, q, i] = L[ancestors[i], k, q]
         log_normal_each(L_a, r, slack, log_p)
-    for i in range(M):
-        j = ancestors[i]
-        b = 0 if B == 1 else j
-        for k in range(nz):
-            s = mu[j, na + k]
-            for m in range(na):
-                s += L[b, na + k, m] * r[m, i]
-            z[i, k] = s
-        if i < B:
-            Z[i] = L[b, na:, na:]
+    each = 0 if B == 1 else 1
+    mean = np.empty(M)
+    for k in range(nz):
+        for i in range(M):
+            mean[i] = mu[ancestors[i], na + k]
+        for m in range(na):
+            for i in range(M):
+                mean[i] += L[each * ancestors[i], na + k, m] * r[m, i]
+        for i in range(M):
+            z[i, k] = mean[i]
+    for b in range(B):
+        Z[b] = L[each * ancestors[b], na:, na:]
     return z, Z, log_p
 
 
@@ -175,29 +192,31 @@ def update(z, Z, h, C, R, y):
         Z_new[b] = root[n:, n:, b]
     r = np.empty((n, M))
     slack = np.empty((n, M))
+    beside = side_by_side(z)
     each = 1 if C.shape[0] > 1 else 0  # what a step from row to row is among the C
     for p in range(n):
         there = channels[p]
         for i in range(M):
-            s = y[there] - h[i, there]
-            size = abs(y[there]) + abs(h[i, there])
-            for k in range(nz):
-                term = C[each * i, there, k] * z[i, k]
-                s -= term
-                size += abs(term)
-            r[p, i] = s
-            slack[p, i] = MEASURED * size
+            r[p, i] = y[there] - h[i, there]
+            slack[p, i] = abs(y[there]) + abs(h[i, there])
+        for k in range(nz):
+            for i in range(M):
+                term = C[each * i, there, k] * beside[k, i]
+                r[p, i] -= term
+                slack[p, i] += abs(term)
+        for i in range(M):
+            slack[p, i] *= MEASURED
     if B == 1:
         log_normal_columns(root[:, :, 0], r, slack, log_p)
     else:
         log_normal_each(root, r, slack, log_p)
     each = 1 if B > 1 else 0
-    for i in range(M):
-        for m in range(nz):
-            s = z[i, m]
-            for p in range(n):
-                s += root[n + m, p, each * i] * r[p, i]
-            z_new[i, m] = s
+    for m in range(nz):
+        for p in range(n):
+            for i in range(M):
+                beside[m, i] += root[n + m, p, each * i] * r[p, i]
+        for i in range(M):
+            z_new[i, m] = beside[m, i]
     return z_new, Z_new, log_p
 
 
