@@ -215,6 +215,15 @@ class Series(Shown):
         return ~np.isnan(self.y)
 
     @cached_property
+    def patterns(self) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
+        """Channels that are there together, and the rows at which just these are; none without any."""
+        each, which = np.unique(self.observed, axis=0, return_inverse=True)
+        pairs = (
+            (np.flatnonzero(one), np.flatnonzero(which.ravel() == k)) for k, one in enumerate(each)
+        )
+        return tuple((channels, rows) for channels, rows in pairs if channels.size)
+
+    @cached_property
     def n_measured(self) -> int:
         """Number of rows with a measurement: what a sample size is, refined or with gaps."""
         return int(self.observed.any(axis=1).sum())

@@ -225,16 +225,10 @@ def measurement_terms(
     model: MixedModel, s: Smoothed | Moments, points: Points
 ) -> list[GaussianTerm]:
     """I3, paper, eqs. (18b), (19b): y_t given x_t; a term per missing pattern and block."""
-    observed = points.series.observed
-    patterns, which = np.unique(observed, axis=0, return_inverse=True)
-    which = which.ravel()
     terms = []
-    for k, pattern in enumerate(patterns):
-        channels = np.flatnonzero(pattern)
-        if not channels.size:
-            continue
+    for channels, there in points.series.patterns:
         B = s.cov.shape[1]
-        for rows in blocks(np.flatnonzero(which == k), points.N * model.ny):
+        for rows in blocks(there, points.N * model.ny):
             y = np.broadcast_to(
                 points.series.y[rows][:, None, channels], (len(rows), points.N, len(channels))
             )

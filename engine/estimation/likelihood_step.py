@@ -23,6 +23,7 @@ from engine.statespace.model import Array, MixedModel, Theta
 from engine.ties import FLAT, Ties, flat_directions
 
 LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
+FAILURES = (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 LIKELIER = 1.0  # nats by which another point must be likelier for an estimate to move there
 
 
@@ -69,7 +70,7 @@ class LikelihoodStep:
             found = quasi_ml(
                 self.model, self.all_series, theta, names, LIKELIHOOD_STEPS, self.worth
             )
-        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except FAILURES:
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
 
@@ -83,7 +84,7 @@ class LikelihoodStep:
         here, worth = self.of(theta), self.worth if worth is None else worth
         try:
             found = quasi_ml(self.model, self.all_series, theta, free, LIKELIHOOD_STEPS, worth)
-        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except FAILURES:
             return theta, 0.0
         gain = found.log_likelihood - here
         return found.theta, gain if np.isfinite(gain) else 0.0
@@ -96,16 +97,17 @@ class LikelihoodStep:
     def of(self, theta: Theta, series: Series | None = None) -> float:
         """Log-likelihood of one series, or of all; NaN where it cannot be had."""
         which = self.all_series if series is None else [series]
-        try:
-            return float(log_likelihoods(self.model, which, np.asarray(theta)[None])[0])
-        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
-            return np.nan
+        return float(_each_or_none(self.model, which, np.asarray(theta)[None])[0])
+
+    def of_each(self, thetas: Array) -> Array:
+        """The moment filter's log-likelihoods (K,) of all series at ``thetas`` (K, n_theta), in one pass."""
+        return _each_or_none(self.model, self.all_series, thetas)
 
     def information(self, theta: Array, indices: NDArray[np.intp]) -> Array | None:
         """Of the parameters ``indices`` (n, n), or None where it cannot be had."""
         try:
             value, _, found = derivatives(self.model, self.all_series, theta, indices)
-        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except FAILURES:
             return None
         return found if np.isfinite(value) else None
 
@@ -133,6 +135,16 @@ class LikelihoodStep:
                 "likelihood, which alone could tell how well it is known, is not finite here"
             )
         return gradient, information
+
+
+def _each_or_none(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
+    """Log-likelihoods (K,); NaN where one cannot be had."""
+    try:
+        return log_likelihoods(model, all_series, thetas)
+    except FAILURES:
+        if len(thetas) == 1:
+            return np.array([np.nan])
+        return np.concatenate([_each_or_none(model, all_series, one[None]) for one in thetas])
 
 
 def surely_flat(

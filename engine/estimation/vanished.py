@@ -19,6 +19,7 @@ from engine.errors import EngineError
 from engine.estimation.e_steps import ParticleStep
 from engine.estimation.edges import in_turn
 from engine.estimation.expectation import parameter_scale
+from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import ENOUGH, QuasiFit, log_likelihoods, quasi_ml, with_scales
 from engine.estimation.wandering import clearly_likelier
 from engine.filters.sigma_point import free_thetas
@@ -132,19 +133,20 @@ def revived_by_particles(
 
     By particle filters, as the moment filter may be what made it vanish.
     """
-    x = np.asarray(theta)
-    points: list[Array] = []
-    for k in indices.tolist():
-        size = parameter_scale(model, x, k)
-        if model.lower[k] < 0.0:
-            for up in (False, True):
-                if _flat(model, theta, k, up, particles):
-                    points.extend(_each(x, [(k, up)], [more_of_it(model, x, k, up)]))
-        elif x[k] - model.lower[k] <= NEAR * size:
+    x, points = np.asarray(theta), list[Array]()
+    sizes = {k: parameter_scale(model, x, k) for k in indices.tolist()}
+    near = {k for k in sizes if 0.0 <= model.lower[k] >= x[k] - NEAR * sizes[k]}
+    sides = [(k, up) for k in sizes if k not in near for up in (False, True)]
+    flat = _flat(
+        model, theta, [(k, up) for k, up in sides if up or model.lower[k] < 0.0], particles
+    )
+    for k, size in sizes.items():
+        if k in near:
             values = np.clip(FINER * size, model.lower[k], model.upper[k])
             points.extend(free_thetas(x, np.array([k]), values[values > x[k], None]))
-        elif _flat(model, theta, k, True, particles):
-            points.extend(_each(x, [(k, True)], [more_of_it(model, x, k, True)]))
+        for side in flat:
+            if side[0] == k:
+                points.extend(_each(x, [side], [more_of_it(model, x, *side)]))
     best, highest = None, -np.inf
     for one in (Theta(point, theta.names) for point in points):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
@@ -158,14 +160,17 @@ def revived_by_particles(
 
 
 @np.errstate(invalid="ignore")  # where the filter of moments is lost
-def _flat(model: BaseModel, theta: Theta, k: int, up: bool, particles: ParticleStep) -> bool:
-    """Whether parameter k does nothing on its way to one side, by the moment filter, which costs little."""
-    moment = particles.moment
-    if moment is None:
-        return False
-    every = [
-        Theta(x, theta.names)
-        for x in _each(np.asarray(theta), [(k, up)], [without_it(model, theta, k, up)])
-    ]
-    here, *there = (sum(moment(x, one) for one in particles.all_series) for x in (theta, *every))
-    return bool((np.abs(np.array(there) - here) <= NOTHING).any())
+def _flat(
+    model: BaseModel, theta: Theta, sides: Sequence[tuple[int, bool]], particles: ParticleStep
+) -> list[tuple[int, bool]]:
+    """Of ``sides`` (parameter, up) those on the way to which it does nothing, by the moment filter.
+
+    That costs little, and least where one pass over time is made for all of them.
+    """
+    if particles.moment is None or not isinstance(model, MixedModel) or not sides:
+        return []
+    x = np.asarray(theta)
+    every = _each(x, sides, [without_it(model, x, k, up) for k, up in sides])
+    found = LikelihoodStep(model, particles.all_series).of_each(np.concatenate([x[None], every]))
+    flat = (np.abs(found[1:].reshape(len(sides), -1) - found[0]) <= NOTHING).any(axis=1)
+    return [side for side, yes in zip(sides, flat, strict=True) if yes]

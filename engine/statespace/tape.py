@@ -8,8 +8,8 @@ no tape. Conditions must turn out as they did when it was recorded, for all rows
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -72,6 +72,7 @@ class Tape:
     steps: Sequence[Operation | Condition]
     outputs: Sequence[Output]
     booleans: frozenset[int]
+    plans: dict[Any, Any] = field(default_factory=dict)  # found once, see :func:`_plan`
 
 
 def record_tape(
@@ -150,6 +151,70 @@ def _lines(
     K: int,
     copies: int,
 ) -> Lines | None:
+    plan = _plan(tape, known, rest, columns)
+    if plan is None:
+        return None
+    rows, results = K * copies, list[Array]()
+    for output, (fixed, common) in zip(tape.outputs, plan.outputs, strict=True):
+        out = np.tile(output.fixed, (1 if common else rows, 1))
+        for entry, i in fixed:
+            out[:, entry] = np.repeat(known[i], copies) if np.ndim(known[i]) else known[i]
+        results.append(out)
+    work = np.zeros((plan.size, rows))
+    for i, slot in plan.filled:
+        value = known[i] if i in known else plan.numbers[i]
+        work[slot] = np.repeat(value, copies) if np.ndim(value) else value
+    own = np.array([*columns.values()]).T if columns else np.empty((0, 0))
+    na = tape.lengths[0]
+    given = plan.codes, plan.links, work, plan.places, tuple(results)
+    return Lines(*given, na, plan.raises, own)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """The lines of a tape but for what parameters and rows they are for.
+
+    ``filled`` are (value, row) of the work space of ``size`` rows, of values known from parameters and
+    ``numbers``; ``outputs`` are pairs (entry, value) that are known, and whether a result is common to all
+    rows. The others as :class:`Lines` has them.
+    """
+
+    codes: NDArray[np.int64]
+    links: NDArray[np.int64]
+    places: tuple[NDArray[np.int64], ...]
+    raises: bool
+    size: int
+    filled: Sequence[tuple[int, int]]
+    numbers: dict[int, float]
+    outputs: Sequence[tuple[Sequence[tuple[int, int]], bool]]
+
+
+def _plan(
+    tape: Tape,
+    known: dict[int, Any],
+    rest: Sequence[Operation | Condition],
+    columns: dict[int, Array],
+) -> _Plan | None:
+    """The lines, made once for all parameters that differ in the same places; None where there are none."""
+    arrays = ((i, value) for i, value in known.items() if isinstance(value, np.ndarray))
+    varied = frozenset(i for i, value in arrays if value.ndim)
+    steps = (one for one in rest if isinstance(one, Operation))
+    powers = [one.of[1] for one in steps if _ufunc(one) is np.power]
+    squares = tuple(_squares(known, i) for i in powers)
+    key = frozenset(known), varied, squares, tuple(columns)
+    if key not in tape.plans:
+        tape.plans[key] = _planned(tape, dict(known), rest, columns, varied)
+    found: _Plan | None = tape.plans[key]
+    return found
+
+
+def _planned(
+    tape: Tape,
+    known: dict[int, Any],
+    rest: Sequence[Operation | Condition],
+    columns: dict[int, Array],
+    varied: frozenset[int],
+) -> _Plan | None:
     space = _Space(tape, known, rest, columns)
     codes = []
     for i, step in enumerate(rest):
@@ -161,21 +226,14 @@ def _lines(
         codes.append(space.line(i, step))
     if not all(codes):
         return None
-    rows, results, places = K * copies, list[Array](), list[NDArray[np.int64]]()
-    of_rows = _of_rows(tape, known, rest)
+    of_rows = _of_rows(tape, varied, rest)
+    outputs, places = [], list[NDArray[np.int64]]()
     for output in tape.outputs:
         moving = [(entry, space.slots[i]) for entry, i in output.moving if i not in known]
-        fixed = [(entry, known[i]) for entry, i in output.moving if i in known]
-        common = bool(results) and of_rows.isdisjoint(i for _, i in output.moving)
-        out = np.tile(output.fixed, (1 if common else rows, 1))
-        for entry, value in fixed:
-            out[:, entry] = np.repeat(value, copies) if np.ndim(value) else value
-        results.append(out)
+        fixed = [(entry, i) for entry, i in output.moving if i in known]
+        common = bool(outputs) and of_rows.isdisjoint(i for _, i in output.moving)
+        outputs.append((fixed, common))
         places.append(np.array(moving, dtype=np.int64).reshape(-1, 2))
-    work = np.zeros((space.size, rows))
-    for i, slot in space.filled:
-        work[slot] = np.repeat(known[i], copies) if np.ndim(known[i]) else known[i]
-    lines = np.array(codes, dtype=np.int64).reshape(-1, 5)
     functions = [step.function for step in rest if isinstance(step, Operation)]
     raises = any(
         one in RAISING or one is check_finite or isinstance(one, Searched | At) or _checked(one)
@@ -185,8 +243,9 @@ def _lines(
     links = np.zeros((len(space.links), width), dtype=np.int64)
     for link, entries in zip(links, space.links, strict=True):
         link[: len(entries)] = entries
-    own = np.array([*columns.values()]).T if columns else np.empty((0, 0))
-    return Lines(lines, links, work, tuple(places), tuple(results), tape.lengths[0], raises, own)
+    lines = np.array(codes, dtype=np.int64).reshape(-1, 5)
+    numbers = {i: known[i] for i, _ in space.filled if i < 0}
+    return _Plan(lines, links, tuple(places), raises, space.size, space.filled, numbers, outputs)
 
 
 def _of_parameters(
@@ -246,9 +305,10 @@ def _of_record(
     return {i: np.broadcast_to(np.asarray(values[i], dtype=float), t.shape) for i in made}, left
 
 
-def _of_rows(tape: Tape, known: dict[int, Any], rest: Sequence[Operation | Condition]) -> set[int]:
+def _of_rows(
+    tape: Tape, of_theta: Iterable[int], rest: Sequence[Operation | Condition]
+) -> set[int]:
     """What differs from row to row: of states, or of parameters that do."""
-    of_theta = (i for i, value in known.items() if isinstance(value, np.ndarray) and value.ndim)
     varied = {*range(tape.lengths[0]), *of_theta}
     for step in rest:
         if isinstance(step, Operation) and not varied.isdisjoint(step.of):
@@ -272,6 +332,15 @@ def _needed(steps: Sequence[Operation | Condition], tape: Tape) -> list[Operatio
             wanted.update(step.of)
             out.append(step)
     return out[::-1]
+
+
+def _ufunc(step: Operation) -> Any:
+    return getattr(step.function, "ufunc", step.function)
+
+
+def _squares(known: dict[int, Any], exponent: int) -> bool:
+    value = known.get(exponent)
+    return isinstance(value, int | float) and value == SQUARE
 
 
 def _operands(step: Operation | Condition) -> tuple[int, ...]:
@@ -370,13 +439,11 @@ class _Space:
         return self._slot(-1 - len(self.filled))
 
     def _code(self, step: Operation) -> int | None:
-        function = getattr(step.function, "ufunc", step.function)
+        function = _ufunc(step)
         if function in OF_BOOLEANS:
             return OF_BOOLEANS[function] if self._booleans.issuperset(step.of) else None
         if function is np.power:
-            exponent = self._known.get(step.of[1])
-            squared = isinstance(exponent, int | float) and exponent == SQUARE
-            return CODES["square" if squared else "power"]
+            return CODES["square" if _squares(self._known, step.of[1]) else "power"]
         return CODE_OF.get(function)
 
     def _slot(self, i: int) -> int:
