@@ -51,6 +51,10 @@ class QFunction:
         record = self.model.record(self.model.theta())
         return sum(term.value(record) for term in self.fixed)
 
+    @cached_property
+    def _last(self) -> dict[tuple[bytes, bytes], tuple[float, Array, Array]]:
+        return {}
+
     @where_it_fails(-np.inf)
     def value(self, theta: Array) -> float:
         """Q(theta, theta_k); -inf where the model cannot be had."""
@@ -60,9 +64,17 @@ class QFunction:
         )
 
     def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
-        """Value, gradient (n,) and scoring matrix (n, n) in the n free parameters."""
-        told = partial(self._derivatives, theta, free)
-        return beside(self.model, self.value, theta, free, told)
+        """Value, gradient (n,) and scoring matrix (n, n) in the n free parameters.
+
+        The last ones are kept: an iteration asks for those at its theta to step, and again for what it tells.
+        """
+        at = np.asarray(theta).tobytes(), free.tobytes()
+        if at not in self._last:
+            self._last.clear()
+            told = partial(self._derivatives, theta, free)
+            self._last[at] = beside(self.model, self.value, theta, free, told)
+        value, gradient, H = self._last[at]
+        return value, gradient.copy(), H.copy()
 
     def _derivatives(
         self, theta: Array, free: NDArray[np.intp], ends: Ends

@@ -175,7 +175,7 @@ def check_covariance(model: MixedModel, where: str, S: Array) -> None:
     """Raise ModelError unless every finite S is symmetric and non-negative, in whatever units."""
     S = S if S.ndim == 3 else S[None]
     S = S[np.isfinite(S).all(axis=(1, 2))]
-    if S.size == 0:
+    if not any_impossible(S):
         return
     variance = np.diagonal(S, axis1=1, axis2=2)
     size = np.sqrt(np.abs(variance[:, :, None] * variance[:, None, :]))
