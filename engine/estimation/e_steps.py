@@ -191,7 +191,7 @@ def rbps_step(
             draws = rb_ffbsi_linear(filtered, n_trajectories, rng, condition=False)
         else:
             draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
-        points = Points(model, one, draws.a)
+        points = Points(model, one, draws.a, filtered.theta)
         if smoother != "algorithm-3":
             draws = condition_on_trajectories(draws, points)
         return Moments(draws.a, draws.z, draws.cov, draws.cross), points

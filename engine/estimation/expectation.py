@@ -18,6 +18,7 @@ from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta
 from engine.statespace.points import Points
+from engine.statespace.refutation import refutations
 
 BLOCK_NUMBERS = 2**17  # numbers in an array of points; what fits the cache keeps time linear in T
 FEW_ROWS = 3  # time steps at which it is asked first whether a parameter is used
@@ -52,7 +53,7 @@ class QFunction:
         return sum(term.value(record) for term in self.fixed)
 
     @cached_property
-    def _last(self) -> dict[tuple[bytes, bytes], tuple[float, Array, Array]]:
+    def _last(self) -> dict[tuple[int, bytes, bytes], tuple[float, Array, Array]]:
         return {}
 
     @where_it_fails(-np.inf)
@@ -68,7 +69,7 @@ class QFunction:
 
         The last ones are kept: an iteration asks for those at its theta to step, and again for what it tells.
         """
-        at = np.asarray(theta).tobytes(), free.tobytes()
+        at = refutations(), np.asarray(theta).tobytes(), free.tobytes()
         if at not in self._last:
             self._last.clear()
             told = partial(self._derivatives, theta, free)

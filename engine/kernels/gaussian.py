@@ -96,8 +96,9 @@ def impossible(S):
 @njit(cache=True, error_model="numpy")
 def any_impossible(S):
     """Whether one of S (M, n, n) is no covariance."""
+    L = np.empty(S.shape[1:])
     for i in range(S.shape[0]):  # noqa: SIM110 - Numba knows no any()
-        if is_impossible(S[i]):
+        if has_no_root(S[i], L):
             return True
     return False
 

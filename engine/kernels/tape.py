@@ -160,13 +160,14 @@ def _is_lost(m, W, lost):
 
 @njit(cache=True, error_model="numpy")
 def _over_a_step(link, W):
-    """A_d, B, Q of F, G, Qc, dt for each row; ``link``: n, m, their rows of W, and the first of the results'.
+    """A_d, B, Q of F, G, Qc, dt for each row; ``link``: n, m, their rows of W, the first of the results'.
 
+    Last whether A_d is used, whose rows of W are left as they are if not.
     Rows that have them from the row before, as all of one filter where no state changes them, are found once.
     """
     n, m, M = link[0], link[1], W.shape[1]
     size, wide = n * n, n * m
-    first = link[3 + 2 * size + wide]
+    first, with_A = link[3 + 2 * size + wide], link[4 + 2 * size + wide] != 0
     F_, G_, S_, dt_ = link[2:], link[2 + size :], link[2 + size + wide :], link[2 + 2 * size + wide]
     leads, which = _distinct(link[2 : 3 + 2 * size + wide], W)
     width = min(len(leads), BLOCK)
@@ -189,16 +190,17 @@ def _over_a_step(link, W):
             lost[k] = not total < np.inf
             if lost[k]:  # it takes no other row with it
                 F[:, :, k], S[:, :, k], G[:, :, k] = 0.0, 0.0, 0.0
-        A, B, Q = integrals(F, G, S, steps, count, True)
-        for row in range(M):
+        A, B, Q = integrals(F, G, S, steps, count, with_A)
+        end = leads[start + count] if start + count < len(leads) else M
+        for row in range(leads[start], end):
             k = which[row] - start
-            if 0 <= k < count:
-                for i in range(n):
-                    for j in range(n):
+            for i in range(n):
+                for j in range(n):
+                    if with_A:
                         W[first + i * n + j, row] = np.nan if lost[k] else A[i, j, k]
-                        W[first + size + wide + i * n + j, row] = np.nan if lost[k] else Q[i, j, k]
-                    for j in range(m):
-                        W[first + size + i * m + j, row] = np.nan if lost[k] else B[i, j, k]
+                    W[first + size + wide + i * n + j, row] = np.nan if lost[k] else Q[i, j, k]
+                for j in range(m):
+                    W[first + size + i * m + j, row] = np.nan if lost[k] else B[i, j, k]
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,18 +10,26 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.statespace.checks import READING, STEP, check_symmetric
 from engine.statespace.first_state import moments_of_first
-from engine.statespace.model import Array, LinearGaussian, MixedModel
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Theta
+from engine.statespace.refutation import refutations
+
+KEPT_NUMBERS = 2**20  # at most, of the values at some rows
 
 
 class Points:
     """Trajectories a (T, N, na) of one series, at which the model is evaluated for any theta.
 
     Matrices come back as (T', N', ., .), with T' = 1 where common to all times and N' = 1 where
-    common to all trajectories.
+    common to all trajectories. What they are at ``home``, a theta that is asked for several times, is kept, and
+    not to be written into.
     """
 
-    def __init__(self, model: MixedModel, series: Series, a: Array) -> None:
+    def __init__(
+        self, model: MixedModel, series: Series, a: Array, home: Theta | None = None
+    ) -> None:
         self.model, self.series = model, series
+        self._home = None if home is None else model.record(home)
+        self._known: dict[tuple[int, bool, bytes], LinearGaussian] = {}
         self.a = np.ascontiguousarray(a)
         self.T, self.N = a.shape[:2]
         model.transitions.look_again(series.u_step)
@@ -37,6 +45,19 @@ class Points:
 
     def at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:
         """The transition or the observation at the given rows; x_1 where a record begins next."""
+        if self._home is None or self._home != record:
+            return self._at(rows, record, transition)
+        key = transition, np.asarray(rows).tobytes()
+        refuted, found = self._known.get(key, (-1, None))
+        if (
+            found is None or refuted != refutations()
+        ):  # what a function was found not to take is wrong
+            found = self._at(rows, record, transition)
+            if found[0].size <= KEPT_NUMBERS:
+                self._known[key] = refutations(), found
+        return found
+
+    def _at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:
         n, N = len(rows), self.N
         function = self.model.transitions if transition else self.model.observations
         value, slope, cov = function(*self.arguments(rows, transition), record)

@@ -371,6 +371,11 @@ class _Space:
         self.links: list[list[int]] = []
         self.matrices: dict[int, int] = {}  # the first row of A_d, B, Q, by their number
         self._found, self._free = set[int](), list[int]()
+        entries = (step for step in rest if isinstance(step, Operation))
+        # discretisations of which A_d is used, their first matrix
+        self._moving = {
+            one.of[0] for one in entries if isinstance(one.function, Entry) and one.function.k == 0
+        }
 
     def line(self, number: int, step: Operation | Condition) -> tuple[int, ...] | None:
         """The line of an operation; None where the kernel does not know it."""
@@ -401,7 +406,7 @@ class _Space:
         n, m = step.function.shapes[1]  # type: ignore[attr-defined]
         operands = [self._slot(i) for i in step.of]
         self.matrices[step.out] = self.size
-        self.links.append([n, m, *operands, self.size])
+        self.links.append([n, m, *operands, self.size, int(step.out in self._moving)])
         self.size += n * (2 * n + m)
         return CODES["over_a_step"], len(self.links) - 1, 0, 0, 0
 

@@ -9,10 +9,12 @@ import pytest
 
 import engine
 from engine.estimation.e_steps import rbps_step
+from engine.estimation.edges import in_turn
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.start import WarmStart
-from engine.estimation.vanished import revived, revived_by_particles
+from engine.estimation.vanished import _flat, revived, revived_by_particles, without_it
+from engine.statespace.model import Theta
 
 SERVO = engine.get_model("servo")
 NOISE = ("sigma_v", "sigma_load", "sigma_y")
@@ -182,6 +184,28 @@ def test_particles_find_its_logarithm():
 @pytest.mark.long
 def test_particles_leave_noise_that_is_not_there():
     assert by_particles(gained(5, 1e-3), STUCK, 1) is None
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_sides_are_asked_in_one_pass_as_one_after_the_other(fails):
+    def dynamics(a, u, t, dt, theta):
+        if fails and theta.q > 4.5:
+            raise KeyError("so large a noise")
+        return GAIN.dynamics(a, u, t, dt, theta)
+
+    model = replace(GAIN, dynamics=dynamics)
+    series, theta = gained(5, 0.2), model.theta(STUCK)
+    likelihood = LikelihoodStep(model, [series])
+    particles = rbps_step(model, [series], 50, 50, moment=likelihood.of)
+    sides = [(k, up) for k in range(4) for up in (False, True)]
+    alone = [side for side in sides if _flat(model, theta, [side], particles)]
+    assert _flat(model, theta, sides, particles) == alone
+    values = [without_it(model, theta, *side)[None] for side in sides]
+    ways = [in_turn(theta, np.array([k]), v) for (k, _), v in zip(sides, values, strict=True)]
+    thetas = np.concatenate(ways)
+    each = [likelihood.of(Theta(x, theta.names)) for x in thetas]
+    assert np.isnan(each).any() == fails
+    np.testing.assert_allclose(likelihood.of_each(thetas), each, rtol=1e-9)
 
 
 def test_particles_look_at_nothing_that_has_not_vanished():

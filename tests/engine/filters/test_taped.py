@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -280,6 +281,24 @@ def test_each_way_that_parameters_take_has_a_tape_of_its_own(monkeypatch):
     taped, called = both(model, np.array([[0.8], [0.95]]), series, monkeypatch)
     assert taped is None  # rows on both
     assert np.isfinite(called.log_likelihood).all()
+
+
+def test_lines_that_are_made_once_hold_for_other_parameters(monkeypatch):
+    """An exponent among them that is 2, and others; in one row, in all alike, and in each another."""
+
+    def powers(a, u, t, dt, theta):
+        return theta.k * np.abs(a) ** theta.n + theta.c * u[0], np.zeros((1, 0)), [[theta.q]]
+
+    names = {"k": 0.3, "n": 2.0, "c": 0.1, "q": 0.01}
+    parameters = [Parameter(name, value, bounds=(0.0, 4.0)) for name, value in names.items()]
+    model = replace(level(powers), parameters=parameters)
+    series, first = series_for(model, 1), np.asarray(model.theta())
+    for moved in ([], [1], [0], [1, 3], [0, 1, 2, 3], [2], [], [1]):
+        for factor in (1.0, 1.2):
+            thetas = np.tile(first, (K, 1))
+            thetas[:, moved] *= factor * np.linspace(1.0, 1.1, K)[:, None]
+            assert_same(*both(model, thetas, series, monkeypatch))
+            assert_same(*both(model, thetas[1:2], series, monkeypatch))
 
 
 def test_a_way_that_is_new_is_looked_at_from_its_beginning(monkeypatch):
