@@ -47,14 +47,13 @@ class Points:
         """The transition or the observation at the given rows; x_1 where a record begins next."""
         if self._home is None or self._home != record:
             return self._at(rows, record, transition)
-        key = transition, np.asarray(rows).tobytes()
-        refuted, found = self._known.get(key, (-1, None))
-        if (
-            found is None or refuted != refutations()
-        ):  # what a function was found not to take is wrong
-            found = self._at(rows, record, transition)
-            if found[0].size <= KEPT_NUMBERS:
-                self._known[key] = refutations(), found
+        # what a function was found not to take since then is wrong
+        key = refutations(), transition, np.asarray(rows).tobytes()
+        if key in self._known:
+            return self._known[key]
+        found = self._at(rows, record, transition)
+        if found[0].size <= KEPT_NUMBERS:
+            self._known[key] = found
         return found
 
     def _at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:

@@ -227,7 +227,8 @@ def _planned(
     if not all(codes):
         return None
     of_rows = _of_rows(tape, varied, rest)
-    outputs, places = [], list[NDArray[np.int64]]()
+    outputs = list[tuple[list[tuple[int, int]], bool]]()
+    places = list[NDArray[np.int64]]()
     for output in tape.outputs:
         moving = [(entry, space.slots[i]) for entry, i in output.moving if i not in known]
         fixed = [(entry, i) for entry, i in output.moving if i in known]
