@@ -163,8 +163,6 @@ def _same(
     sizes = np.maximum(_sizes(called, there), least)
     taped, called = (x[there] if len(x) > 1 else x for x in (taped, called))
     neither = ~(np.isfinite(called) | np.isfinite(taped))
-    taped, called = (x[there] if len(x) > 1 else x for x in (taped, called))
-    neither = ~(np.isfinite(called) | np.isfinite(taped))
     return bool(np.all((np.abs(taped - called) <= share * sizes) | (taped == called) | neither))
 
 
