@@ -51,7 +51,7 @@ def test_noise_of_a_wrong_model_is_not_left_at_nothing(seed, friction, offset):
 WRITTEN = {  # as what a parameter gives the standard deviation, and the other way round, from where it is gone
     "logarithm": (np.exp, np.log, -20.0),
     "logarithm that drifts": (np.exp, np.log, -8.0),
-    "logarithm of the variance": (lambda x: np.exp(x / 2.0), lambda s: 2.0 * np.log(s), -30.0),
+    "logarithm of the variance": (lambda x: np.exp(x / 2.0), lambda s: 2.0 * np.log(s), -40.0),
     "precision": (lambda x: x**-0.5, lambda s: s**-2.0, 1e10),
 }
 
