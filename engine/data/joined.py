@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from engine.arrays import Array
 from engine.data.series import Series
 from engine.errors import SeriesError
+
+ROUNDING = 1e-9  # of a channel's largest number: what moves by no more is constant
 
 
 def past_of(test: Series, records: Sequence[Series]) -> Series | None:
@@ -58,16 +61,38 @@ def overlapping(records: Sequence[Series]) -> bool:
     return any(start <= end for (_, end), (start, _) in pairwise(spans))
 
 
+def by_length(records: Sequence[Series]) -> list[int]:
+    """The records' places, the longest first, and of those as long the one whose readings move most.
+
+    So it is in whatever order they are given, whatever the units, zeros and signs of their channels, and
+    whatever inputs are there that nothing depends on.
+    """
+    moved = standardized([one.y for one in records])
+    sizes = [[-round(float((x**n).sum()), 6) for n in (2, 4)] for x in moved]
+    return sorted(range(len(records)), key=lambda k: (-len(records[k]), *sizes[k], k))
+
+
+def standardized(parts: Sequence[Array]) -> list[Array]:
+    """Each (T, n) in standard deviations from the mean of all; 0 where there is none, or nothing moves."""
+    whole = np.concatenate(parts)
+    seen = ~np.isnan(whole)
+    n = np.maximum(seen.sum(axis=0), 1)
+    mean = np.nansum(whole, axis=0) / n
+    spread = np.sqrt(np.nansum((whole - mean) ** 2, axis=0) / n)
+    moves = spread > ROUNDING * np.abs(np.where(seen, whole, 0.0)).max(axis=0, initial=0.0)
+    return [np.nan_to_num((x - mean)[:, moves] / spread[moves]) for x in parts]
+
+
 def longest_of(records: Sequence[Series]) -> int:
-    """Which of the records is the longest, the first of several."""
-    return max(range(len(records)), key=lambda k: (len(records[k]), -k))
+    """Which of the records is the longest, of several the one that moves most."""
+    return by_length(records)[0]
 
 
 def in_turn(records: Sequence[Series]) -> list[Series]:
     """The same records on one clock, on which no two of them overlap: as :func:`engine.diagnose` takes them.
 
-    The longest keeps its times. The others follow it in their order, each a round number after the one before.
-    That number is 1, 2 or 5 times a power of ten.
+    They follow one another in the order of the list, each a round number after the one before: 1, 2 or 5 times
+    a power of ten. The longest keeps its times, and those before it in the list come before it.
 
     Parameters
     ----------
@@ -92,9 +117,9 @@ def in_turn(records: Sequence[Series]) -> list[Series]:
     power = 10.0 ** np.floor(np.log10(lasting))
     apart = float(next(power * n for n in (1.0, 2.0, 5.0, 10.0) if power * n > lasting))
     begin, out = float(records[first].t[0]), list(records)
-    for place, k in enumerate((k for k in range(len(records)) if k != first), 1):
-        one = records[k]
-        out[k] = one.replace(t=one.t - one.t[0] + (begin + place * apart))
+    for k, one in enumerate(records):
+        if k != first:
+            out[k] = one.replace(t=one.t - one.t[0] + (begin + (k - first) * apart))
     return out
 
 

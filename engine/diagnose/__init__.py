@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -272,7 +273,7 @@ def diagnose(  # noqa: PLR0913
     after = judged.after
     notes.extend(judged.notes)
     if records.kept_back:
-        which = enumerated([str(k) for k in records.kept_back])
+        which = enumerated([str(k) for k in sorted(records.kept_back)])
         notes.append(
             f"Of the records, counted from 0, {which} {'were' if len(records.kept_back) > 1 else 'was'} held "
             "out and not searched: held_out=0 searches all of them, test= judges by other data."
@@ -294,7 +295,9 @@ def diagnose(  # noqa: PLR0913
         unsearched = begins_unsearched(causes.base, whole, cut, tested, alpha, seed)
 
     if records.in_turn and any(cause.where == "time" for cause in judged.causes):
-        others = zip(records.numbers[1:], fine.records.others, strict=True)
+        others = sorted(
+            zip(records.numbers[1:], fine.records.others, strict=True), key=itemgetter(0)
+        )
         begin = [
             f"record {k} at t = {moment(one.t[0], one.usual_step, one.time_unit)}"
             for k, one in others

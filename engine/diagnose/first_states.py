@@ -12,12 +12,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
-from engine.filters.sigma_point import moment_path
+from engine.filters.sigma_point import MomentPath, moment_path
 from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta
 
@@ -26,31 +27,80 @@ UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins w
 
 def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
     """Whether the first readings of a record are what the model's first state lets expect."""
-    rows = np.flatnonzero(one.observed.any(axis=1))[: model.nx]
+    rows = _first(model, one)
     if not rows.size:
         return False
-    square, count = 0.0, 0
     try:
         path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))
-        for t in rows:
-            there = one.observed[t]
-            nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
-            square += float(nu @ np.linalg.solve(S, nu))
-            count += int(there.sum())
+        square, count = _squared(path, one, rows)
     except (EngineError, np.linalg.LinAlgError):  # also where a reading can only be one value
         return False
     return bool(chi2_sf(square, count) > UNLIKELY)
+
+
+def _first(model: MixedModel, one: Series) -> NDArray[np.intp]:
+    """The rows that tell where a record begins: as many that hold a reading as there are states."""
+    return np.flatnonzero(one.observed.any(axis=1))[: model.nx]
+
+
+def _squared(path: MomentPath, one: Series, rows: NDArray[np.intp]) -> tuple[float, int]:
+    """The sum of squares of what those rows are off their predictions, whitened, and of how many readings."""
+    square = 0.0
+    for t in rows:
+        there = one.observed[t]
+        nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
+        square += float(nu @ np.linalg.solve(S, nu))
+    return square, int(one.observed[rows].sum())
+
+
+def noise_it_needs(model: MixedModel, theta: Array, one: Series) -> float:
+    """The factor of variances by which a record's later readings are further off than the noise says, or 1.
+
+    The model that is asked begins anywhere.
+    """
+    later = np.flatnonzero(one.observed.any(axis=1))[_first(model, one).size :]
+    if not later.size:
+        return 1.0
+    far = _farthest(model, theta, (*model.nonlinear, *model.linear), one)
+    square, n = _squared(moment_path(_widened(model, far), theta, one), one, later)
+    return max(1.0, square / n)
+
+
+def with_noise(model: MixedModel, factor: float) -> MixedModel:
+    """The model with so many times the variances of its noise, its first state as it was."""
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Any:
+        f, A, Q = model.transition(a, u, t, dt, theta)
+        return f, A, Q * factor
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> Any:
+        h, C, R = model.observation(a, u, t, theta)
+        return h, C, R * factor
+
+    return replace(model, dynamics=dynamics, measurement=measurement)
 
 
 def begins_as_said(model: MixedModel, start: Theta, fitted: Theta, one: Series) -> bool:
     """Whether a record begins where the ``fitted`` model says, or the model with its ``start`` values.
 
     Where parameters say how far apart records begin, one record tells nothing of that: fitted to it alone, they
-    say that all begin where it does. Then what the model was given with speaks, with all else as fitted.
+    say that all begin where it does. Then what the model was given with speaks, with all else as fitted. It
+    tells no more of what else differs between records, and little of the noise where it is short: what
+    the record itself shows of these once it has begun is noise here.
     """
-    begun = model.record(start)
-    given = replace(model, initial=lambda _: model.initial(begun))
-    return any(begins_as_expected(says, np.asarray(fitted), one) for says in (model, given))
+    begun, theta = model.record(start), np.asarray(fitted)
+
+    def expected(of: MixedModel) -> bool:
+        given = replace(of, initial=lambda _: model.initial(begun))
+        return any(begins_as_expected(says, theta, one) for says in (of, given))
+
+    if expected(model):
+        return True
+    try:
+        factor = noise_it_needs(model, theta, one)
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+    return factor > 1.0 and expected(with_noise(model, factor))
 
 
 def starts_there(fit: QuasiFit, one: Series) -> bool:
@@ -66,19 +116,22 @@ def anywhere(base: QuasiFit, extended: QuasiFit, searched: Series) -> tuple[Quas
     """
     own = (*base.model.nonlinear, *base.model.linear)
     try:
-        one, other = _farthest(base, own, searched), _farthest(extended, own, searched)
+        one, other = (
+            _farthest(fit.model, np.asarray(fit.theta), own, searched) for fit in (base, extended)
+        )
     except (EngineError, np.linalg.LinAlgError):
         return base, extended
     wide = _widened(base.model, one), _widened(extended.model, other)
     return replace(base, model=wide[0]), replace(extended, model=wide[1])
 
 
-def _farthest(fit: QuasiFit, own: Sequence[str], searched: Series) -> dict[str, float]:
+def _farthest(
+    model: MixedModel, theta: Array, own: Sequence[str], searched: Series
+) -> dict[str, float]:
     """How far each state of its ``own`` comes from its first mean, and each further linear one goes.
 
     What is added may begin at 0 for want of what came before it, in whatever unit: its first row tells nothing.
     """
-    model, theta = fit.model, np.asarray(fit.theta)
     means = moment_path(model, theta, searched).filtered
     middle, _ = moments_of_first(model, model.record(theta))
     away = np.abs(means - middle).max(axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.given import as_series_list, check_apart, same_clock
-from engine.data.joined import in_turn, longest_of, overlapping, together
+from engine.data.joined import by_length, in_turn, overlapping, standardized, together
 from engine.data.series import Series
 from engine.diagnose.effects.clock import reads_no_clock
 from engine.diagnose.effects.spare_inputs import with_inputs
@@ -163,8 +163,7 @@ def records_of(
     back = () if tests else whole_records(given, held_out)
     tests += [given[k] for k in back]
     given, moved = on_one_clock(model, given)
-    left = [k for k in range(len(given)) if k not in back]
-    numbers = (left.pop(longest_of([given[k] for k in left])), *left)
+    numbers = tuple(k for k in by_length(given) if k not in back)
     main, *others = (given[k].with_extra_inputs() for k in numbers)
     apart = tuple(one.with_extra_inputs().check(model) for one in tests)
     return model, Records(main, tuple(others), apart, held_out, back, numbers, moved)
@@ -184,15 +183,16 @@ def on_one_clock(model: MixedModel, given: list[Series]) -> tuple[list[Series], 
 def whole_records(given: Sequence[Series], share: float) -> tuple[int, ...]:
     """Which of many records are held out whole: a ``share`` of their number, never the longest.
 
-    Of many short ones the last part of the longest tells little: all may have settled there. They are spread
-    over the levels of inputs and readings, in whatever order they come. Empty where the share of their number
-    is none, where that part holds more rows, or where too few would be left. Where that part can tell nothing
-    at all, fewer are enough.
+    Of many short ones the last part of the longest tells little: all may have settled there. They are those
+    that stand for all others best, by the levels of their readings, in whatever order they come. Empty where
+    the share of their number is none, where that part holds more rows, or where too few would be left. Where
+    that part can tell nothing at all, fewer are enough.
     """
-    rows, longest = [one.n_measured for one in given], longest_of(given)
-    rest = sorted((k for k in range(len(given)) if k != longest), key=lambda k: _levels(given[k]))
+    rows, (longest, *rest) = [one.n_measured for one in given], by_length(given)
     n = int(share * len(given) + 1e-9)
-    back = tuple(sorted(rest[int((j + 0.5) * len(rest) / n)] for j in range(n)))
+    if not n:
+        return ()
+    back = tuple(rest[j] for j in _standing_for_all([given[k] for k in rest], n))
     held = sum(rows[k] for k in back)
     telling = _kept_rows(rows[longest], share) >= FEWEST_ROWS
     enough = 2 * LEAST if telling or held < FEWEST_ROWS else LEAST
@@ -210,10 +210,28 @@ def _kept_rows(samples: int, share: float) -> int:
     return max(asked, FEWEST_ROWS) if can_tell else asked
 
 
-def _levels(one: Series) -> tuple[float, ...]:
-    """Means of the inputs and of what was read of each output, by which records are sorted."""
-    means = [float(y[~np.isnan(y)].mean()) if (~np.isnan(y)).any() else 0.0 for y in one.y.T]
-    return (*one.u.mean(axis=0).tolist(), *means)
+def _standing_for_all(given: Sequence[Series], n: int) -> list[int]:
+    """So many of the records that the others' distances to the nearest of them are least, chosen one by one.
+
+    Distances are those of means of what was read of each output.
+    """
+    levels = standardized([_mean(one.y)[None] for one in given])
+    points = np.concatenate(levels)
+    far = np.abs(points[:, None] - points).sum(axis=2)
+    chosen, nearest = list[int](), np.full(len(given), np.inf)
+    for _ in range(n):
+        left = np.minimum(nearest, far).sum(axis=1)
+        left[chosen] = np.inf
+        chosen.append(int(np.argmin(left.round(6))))
+        nearest = np.minimum(nearest, far[chosen[-1]])
+    return chosen
+
+
+def _mean(x: Array) -> Array:
+    """Of each column (T, n) what was read; NaN where nothing was."""
+    seen = ~np.isnan(x)
+    n = seen.sum(axis=0)
+    return np.asarray(np.nansum(x, axis=0) / np.where(n, n, np.nan))
 
 
 def _same_step(one: Series, other: Series) -> bool:
