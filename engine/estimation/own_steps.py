@@ -31,7 +31,8 @@ def about_own_steps(
     Both are asked by the moment filter, and only where it has its maximum next to theta.
     """
     try:
-        if free and _long(model, theta, all_series[0]) and _hinted(model, theta, free, all_series):
+        long = any(_long(model, theta, one) for one in all_series) if free else False
+        if long and _hinted(model, theta, free, all_series):
             return of_fit(quasi_ml(model, all_series, theta, free), all_series, theta)
     except (EngineError, np.linalg.LinAlgError):
         pass

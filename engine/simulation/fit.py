@@ -290,7 +290,9 @@ def fit_simulation(
             faults,
             clock,
             about_free_runs(model, theta, listed, x1),
-            about_own_free_runs(problem, best.x, np.hstack([runs[0].a, runs[0].z]), known),
+            about_own_free_runs(
+                problem, best.x, [np.hstack([run.a, run.z]) for run in runs], known
+            ),
         ]
     return SimulationFit(
         model=model,

@@ -8,7 +8,7 @@ make finer steps where they are asked to, see :mod:`engine.simulation.step_lengt
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -67,15 +67,16 @@ def may_be_too_long(model: MixedModel, theta: Array, x: Array, series: Series) -
 
 
 def about_own_free_runs(
-    problem: FreeRunProblem, p: Array, run: Array, errors: Mapping[str, float]
+    problem: FreeRunProblem, p: Array, runs: Sequence[Array], errors: Mapping[str, float]
 ) -> str:
     """A sentence where free runs by half-steps fit as well, with other parameters; "" where they do not.
 
-    ``p`` is where the problem's search ended, ``run`` (T, nx) that of the first series from there, and
+    ``p`` is where the problem's search ended, ``runs`` (T, nx) those of all series from there, and
     ``errors`` are the standard errors of the parameters.
     """
     model, (theta, x1) = problem.model, problem.split(p)
-    if not may_be_too_long(model, np.asarray(theta), run, problem.series[0]):
+    each = zip(runs, problem.series, strict=True)
+    if not any(may_be_too_long(model, np.asarray(theta), run, one) for run, one in each):
         return ""
     try:
         halves = FreeRunProblem(in_half_steps(model), problem.series, theta, problem.active, x1)

@@ -73,8 +73,10 @@ def _work(
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
     """All that can be wrong is found here."""
     job = asked.job(shown, substeps=asked.substeps)
-    if asked.method == "rts-em" and (why := why_not_linear(job.model, job.theta, job.series[0])):
-        raise wrong(f"--method rts-em: {why}; use quasi-newton")
+    if asked.method == "rts-em":
+        for one in job.series:
+            if why := why_not_linear(job.model, job.theta, one):
+                raise wrong(f"--method rts-em: {why}; use quasi-newton")
     request = EstimateRequest.model_construct(
         kind="estimate",
         model=ModelReference(name=job.name),
