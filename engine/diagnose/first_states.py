@@ -12,13 +12,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.distributions import chi2_sf
 from engine.errors import EngineError
+from engine.estimation.beginnings import first_readings, first_rows, squared
 from engine.estimation.quasi_ml import QuasiFit
-from engine.filters.sigma_point import MomentPath, moment_path
+from engine.filters.sigma_point import moment_path
 from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta
 
@@ -27,30 +26,7 @@ UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins w
 
 def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
     """Whether the first readings of a record are what the model's first state lets expect."""
-    rows = _first(model, one)
-    if not rows.size:
-        return False
-    try:
-        path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))
-        square, count = _squared(path, one, rows)
-    except (EngineError, np.linalg.LinAlgError):  # also where a reading can only be one value
-        return False
-    return bool(chi2_sf(square, count) > UNLIKELY)
-
-
-def _first(model: MixedModel, one: Series) -> NDArray[np.intp]:
-    """The rows that tell where a record begins: as many that hold a reading as there are states."""
-    return np.flatnonzero(one.observed.any(axis=1))[: model.nx]
-
-
-def _squared(path: MomentPath, one: Series, rows: NDArray[np.intp]) -> tuple[float, int]:
-    """The sum of squares of what those rows are off their predictions, whitened, and of how many readings."""
-    square = 0.0
-    for t in rows:
-        there = one.observed[t]
-        nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
-        square += float(nu @ np.linalg.solve(S, nu))
-    return square, int(one.observed[rows].sum())
+    return first_readings(model, theta, one) > UNLIKELY
 
 
 def noise_it_needs(model: MixedModel, theta: Array, one: Series) -> float:
@@ -58,11 +34,11 @@ def noise_it_needs(model: MixedModel, theta: Array, one: Series) -> float:
 
     The model that is asked begins anywhere.
     """
-    later = np.flatnonzero(one.observed.any(axis=1))[_first(model, one).size :]
+    later = np.flatnonzero(one.observed.any(axis=1))[first_rows(model, one).size :]
     if not later.size:
         return 1.0
     far = _farthest(model, theta, (*model.nonlinear, *model.linear), one)
-    square, n = _squared(moment_path(_widened(model, far), theta, one), one, later)
+    square, n = squared(moment_path(_widened(model, far), theta, one), one, later)
     return max(1.0, square / n)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from operator import itemgetter
 
 import numpy as np
 
@@ -30,11 +31,12 @@ from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import ENOUGH, NAMES
-from engine.diagnose.records import TOO_LONG, Records, others_left
+from engine.diagnose.records import ELSEWHERE, TOO_LONG, Records, others_left
 from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.steps.substeps import Prepared, are_too_long, steps_for
 from engine.errors import EngineError
+from engine.estimation.beginnings import about_cuts
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated, moment
 
@@ -217,8 +219,17 @@ def _of_records(records: Records, taken: int, left: Mapping[str, int]) -> str:
     which = "one, the longest" if taken == 1 else f"{taken} together"
     return (
         f"Of {n} records the likelihood searched {which}; what is wrong is shown on the longest. "
-        f"{others_left(left)} The free run was asked on all."
+        f"{others_left(left)} The free run was asked on all.{_cut(records) if ELSEWHERE in left else ''}"
     )
+
+
+def _cut(records: Records) -> str:
+    """After a space, a sentence on records that may be parts of one; they are told by their numbers."""
+    numbered = sorted(
+        zip(records.numbers, (records.main, *records.others), strict=True), key=itemgetter(0)
+    )
+    numbers, every = zip(*numbered, strict=True)
+    return about_cuts(every, range(len(every)), numbers)
 
 
 def _on_fewer_samples(

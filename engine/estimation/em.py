@@ -14,6 +14,7 @@ from engine.data.given import as_series_list, check_enough
 from engine.data.series import Series
 from engine.errors import OptionError
 from engine.estimation.about_edges import about_edges
+from engine.estimation.beginnings import about_beginnings
 from engine.estimation.e_steps import rbps_step, rts_step
 from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.em_result import Checkpoint as Checkpoint
@@ -305,6 +306,8 @@ def remark(model: BaseModel, found: EmResult, all_series: Sequence[Series]) -> s
         told.append(about_clock(model, all_series))
         if found.outcome.success:
             told.append(about_edges(model, found.theta, found.free, all_series))
+            if gaussian:
+                told.append(about_beginnings(model, found.theta, all_series))
             told.append(about_predictions(model, found.theta, all_series))
             told.append(about_own_steps(model, found.theta, found.free, all_series))
     return "".join(f" {said}" for said in told if said)
