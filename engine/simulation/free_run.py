@@ -104,9 +104,10 @@ class FreeRun(Shown):
 
 
 def root_mean_square(model: MixedModel, residuals: Array) -> float:
-    """Of all residuals (T, ny), NaN where nothing was measured or where outputs have several units."""
-    first, *others = model.outputs.values()
-    if not all(alike(first, unit) for unit in others) or np.isnan(residuals).all():
+    """Of all residuals (T, ny), NaN where nothing was measured, or outputs that were have several units."""
+    seen = ~np.isnan(residuals).all(axis=0)
+    units = [unit for unit, was in zip(model.outputs.values(), seen, strict=True) if was]
+    if not units or not all(alike(units[0], unit) for unit in units[1:]):
         return np.nan
     return float(np.sqrt(np.nanmean(residuals**2)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
-from engine.simulation.free_run import Bands, free_run, run_rows
+from engine.simulation.free_run import Bands, free_run, root_mean_square, run_rows
 from engine.simulation.simulate import simulate
 from engine.statespace.model import MixedModel, Parameter
 
@@ -47,6 +48,15 @@ def test_first_state_is_the_initial_mean_or_given():
     np.testing.assert_allclose(run.y[:, 0], [0, 0.5, 1, 1.5, 2])  # a_1 = 0, z_1 = 1
     run = free_run(LINEAR, {"theta": 0.5}, series, a1=[1.0], z1=[-2.0])
     np.testing.assert_allclose(run.y[:, 0], [1, 0, -1, -2, -3])
+
+
+def test_an_output_that_was_not_read_has_no_say_in_the_unit():
+    """A second sensor in another unit, without a reading, made the error NaN."""
+    model = SimpleNamespace(outputs={"height": "m", "load": "N"})
+    read = np.array([[3.0, np.nan], [-3.0, np.nan]])
+    assert root_mean_square(model, read) == 3.0
+    assert np.isnan(root_mean_square(model, np.abs(np.nan_to_num(read))))
+    assert np.isnan(root_mean_square(model, np.nan * read))
 
 
 def test_residuals_and_rmse_leave_missing_values_out():
