@@ -82,7 +82,7 @@ def integrals(F, G, Qc, dt, count, with_A):
         stiffness = dt[k] * norm
         if stiffness > LONGEST:  # seldom: then it is worth to look whether units make it so
             balanced = _norm_in(units, F[:, :, k])
-            if not balanced <= max(NEAR * known, LONGEST / dt[k]):  # the last system's units are no longer good
+            if not balanced <= max(NEAR * known, LONGEST / dt[k]):  # they will not do for this one
                 balanced = known = _balanced_norm(F[:, :, k], dt[k], units)
             stiffness = dt[k] * min(norm, balanced)
         if stiffness > LONGEST and stiffness < 2.0**MOST_HALVINGS:

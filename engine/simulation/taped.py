@@ -48,7 +48,8 @@ def run_by_tape(
     if moving.lines.raises and lost.any():
         return None  # of parameters with which it runs away calls tell why
     if K == 1 and lost.any():
-        half = int(np.argmax(lost)) // 2  # just before it is lost differences are nothing but rounding
+        # just before it is lost differences are nothing but rounding
+        half = int(np.argmax(lost)) // 2
         agrees = moving.agrees(half, X[half, :, :na])
     else:
         agrees = moving.agrees(T - 2)
