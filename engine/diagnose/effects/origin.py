@@ -15,7 +15,8 @@ class Origin:
     Where the setting does not know it, the effect gets the last parameter ``<name>_zero``, held at
     ``start`` (default: :meth:`Setting.zero`) until a search frees it; of an effect that counts ``of_several``
     channels ``<name>_zero_<channel>``. Where it may be anywhere, an effect that is proportional to the distance
-    from it is looked at from ``outside`` of the record's range, too.
+    from it is looked at from ``outside`` of the record's range, too; one that is proportional to a power of it,
+    from other places ``inside``.
     """
 
     def __init__(
@@ -29,10 +30,12 @@ class Origin:
         self.value = setting.zero(channel) if start is None else start
         self.parameters: tuple[Parameter, ...] = ()
         self.outside: tuple[float, ...] = ()
+        self.inside: tuple[float, ...] = ()
         if channel not in setting.known_zeros:
             low, high = setting.inside(channel)
             if start is None:
                 self.outside = setting.zeros_outside(channel)
+                self.inside = setting.zeros_inside(channel)
             bounds = min((low, self.value, *self.outside)), max((high, self.value, *self.outside))
             what = f"zero of {channel} that it counts from"
             named = f"{name}_zero_{setting.identifier(channel)}" if of_several else f"{name}_zero"
@@ -59,6 +62,11 @@ class Origin:
         """Members of an effect that is ``size`` times the distance from here."""
         members = self.counted(size)
         return members | {"probes": (*members["probes"], *((place,) for place in self.outside))}
+
+    def of_a_power(self, size: Parameter) -> dict[str, Any]:
+        """Members of an effect that is ``size`` times a power of the distance from here."""
+        members = self.proportional(size)
+        return members | {"probes": (*members["probes"], *((place,) for place in self.inside))}
 
     @property
     def probe(self) -> tuple[float, ...]:

@@ -24,6 +24,7 @@ from engine.diagnose.effects.rates import (
     moved_by,
     rates,
 )
+from engine.diagnose.effects.rest import at_rest
 from engine.diagnose.effects.zeros import without_zero
 from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -32,6 +33,7 @@ from engine.units import SECOND, frequency_in, product, zero_of
 SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an effect has
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
+ALIKE = 1e-3  # of a channel's size: zeros so near are one
 ZEROS_OUTSIDE = (0.5, 2.0, 10.0)  # of a channel's range, beyond it: where its zero is looked for
 NEARLY_ALL = 0.9  # of the steps
 WAY_BACK = 0.01  # of the way out: with less, nothing has come back
@@ -202,6 +204,32 @@ class Setting:
         low, high = float(values.min()), float(values.max())
         ways = np.multiply(ZEROS_OUTSIDE, max(high - low, self.size(channel)))
         return tuple(place for way in ways.tolist() for place in (low - way, high + way))
+
+    def zeros_inside(self, channel: str) -> tuple[float, ...]:
+        """Where else the zero of a channel may be that is not afloat, and is taken for that of its unit.
+
+        A position may be counted from a wall: the zero is where the model is at rest. Or it is in the middle of
+        a record that keeps away from that of the unit.
+        """
+        values, zero = self._values(channel), self.zero(channel)
+        if channel in self.known_zeros or channel in self._afloat or not values.size:
+            return ()
+        near = float(values.min()) <= zero <= float(values.max())
+        places = [] if near else [float(np.median(values))]
+        if channel in self._rest:
+            places.append(self._rest[channel])
+        close = ALIKE * self.size(channel)
+        return tuple(place for place in places if abs(place - zero) > close)
+
+    @cached_property
+    def _rest(self) -> dict[str, float]:
+        points, theta = self.points(self.model)
+        u = np.array([self.zero(name) for name in self.model.inputs])
+        try:
+            found = at_rest(self.model, theta, points, u)
+        except (EngineError, np.linalg.LinAlgError):
+            found = None
+        return {} if found is None else dict(zip(self.states, found.tolist(), strict=True))
 
     def beside(self, model: MixedModel) -> Setting:
         """The same beside what ``model`` has more than the one for which effects are made."""

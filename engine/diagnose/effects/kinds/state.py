@@ -57,7 +57,7 @@ def _static(
             widths = [(setting.distance(source, level),) for level in WIDTHS]
         # of a parabola the record may show one branch; beyond the record x|x| is the same
         afar = power > 1.0 and traits is STIFFNESS
-        counted = origin.proportional if afar else partial(origin.counted, probes=widths)
+        counted = origin.of_a_power if afar else partial(origin.counted, probes=widths)
 
         def extend(model: MixedModel) -> MixedModel:
             def sized(x: Any, own: Sequence[Any]) -> Any:
