@@ -15,8 +15,8 @@ class Origin:
     Where the setting does not know it, the effect gets the last parameter ``<name>_zero``, held at
     ``start`` (default: :meth:`Setting.zero`) until a search frees it; of an effect that counts ``of_several``
     channels ``<name>_zero_<channel>``. Where it may be anywhere, an effect that is proportional to the distance
-    from it is looked at from ``outside`` of the record's range, too; one that is proportional to a power of it,
-    from other places ``inside``.
+    from it is looked at from ``outside`` of the record's range, too; one with a shape of its own, from other
+    places ``inside``.
     """
 
     def __init__(
@@ -51,22 +51,23 @@ class Origin:
         self, *parameters: Parameter, probes: Sequence[tuple[float, ...]] = ((),)
     ) -> dict[str, Any]:
         """Members of an :class:`Effect` with these parameters that counts from here."""
+        return self.counted_from(*parameters, probes=[(*probe, *self.probe) for probe in probes])
+
+    def counted_from(
+        self, *parameters: Parameter, probes: Sequence[tuple[float, ...]]
+    ) -> dict[str, Any]:
+        """The same with probes that say where each counts from."""
         return {
             "parameters": (*parameters, *self.parameters),
-            "probes": tuple((*probe, *self.probe) for probe in probes),
+            "probes": tuple(probes),
             "held": tuple(p.name for p in self.parameters),
             "zero": self.name,
         }
 
     def proportional(self, size: Parameter) -> dict[str, Any]:
         """Members of an effect that is ``size`` times the distance from here."""
-        members = self.counted(size)
-        return members | {"probes": (*members["probes"], *((place,) for place in self.outside))}
-
-    def of_a_power(self, size: Parameter) -> dict[str, Any]:
-        """Members of an effect that is ``size`` times a power of the distance from here."""
-        members = self.proportional(size)
-        return members | {"probes": (*members["probes"], *((place,) for place in self.inside))}
+        places = [(place,) for place in self.outside]
+        return self.counted_from(size, probes=[self.probe, *places])
 
     @property
     def probe(self) -> tuple[float, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -121,16 +121,16 @@ class Setting:
             return float(np.quantile(values, level))
         return self.known_zeros.get(channel, 0.0) + self.size(channel) * float(ndtri(level))
 
-    def distance(self, channel: str, level: float) -> float:
-        """The distance from its zero within which the channel is for a share ``level`` of the record."""
-        away = np.abs(self._values(channel) - self.zero(channel))
+    def distance(self, channel: str, level: float, zero: float | None = None) -> float:
+        """The distance from its zero, or another, within which it is for a share ``level`` of the record."""
+        away = np.abs(self._values(channel) - (self.zero(channel) if zero is None else zero))
         value = float(np.quantile(away, level)) if away.size else 0.0
         return value if value > 0.0 else self.size(channel) * float(ndtri(0.5 + 0.5 * level))
 
-    def width(self, channel: str) -> tuple[float, float]:
-        """Bounds of a width in the channel's unit, counted from its zero."""
-        most = self.distance(channel, 0.7)
-        return self.limits(NARROWEST * most, WIDEST * most)
+    def width(self, channel: str, zeros: Sequence[float] = ()) -> tuple[float, float]:
+        """Bounds of a width in the channel's unit, counted from its zero or from one of several others."""
+        most = [self.distance(channel, 0.7, zero) for zero in (None, *zeros)]
+        return self.limits(NARROWEST * min(most), WIDEST * max(most))
 
     def inside(self, channel: str) -> tuple[float, float]:
         """Bounds of a value on the channel's axis: its range and as much again at each side."""

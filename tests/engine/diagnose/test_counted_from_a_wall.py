@@ -36,35 +36,47 @@ def spring(rest):
     )
 
 
-def stiffening(rest):
-    """Readings of one that grows stiffer away from there."""
+def hardening(x):
+    return 25.0 * x**3
+
+
+def stop(x):
+    return 60.0 * np.sign(x) * max(abs(x) - 0.4, 0.0)
+
+
+def readings(rest, force=hardening):
+    """Of one that pushes back more away from there."""
     rng = np.random.default_rng(8)
     u = np.repeat(rng.uniform(-3.0, 3.0, ROWS // 10), 10)
     x, v, y = 0.0, 0.0, np.empty(ROWS)
     for k in range(ROWS):
         y[k] = rest + x + 0.02 * rng.standard_normal()
         for _ in range(FINE):
-            v += DT / FINE * (10.0 * u[k] - 45.0 * x - 1.5 * v - 25.0 * x**3)
+            v += DT / FINE * (10.0 * u[k] - 45.0 * x - 1.5 * v - force(x))
             x += DT / FINE * v
         v += 0.05 * rng.standard_normal()
     return engine.Series(y, u, dt=DT)
 
 
-@pytest.mark.long
-def test_a_spring_grows_stiffer_wherever_its_position_counts_from():
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "name"), [(hardening, "cubic"), (stop, "saturation")])
+def test_a_force_has_its_name_wherever_positions_count_from(force, name):
+    asked = [f"{kind}:x->v" for kind in ("cubic", "quadratic", "saturation", "deadzone")]
     found = [
-        diagnose(spring(rest), stiffening(rest), effects=["cubic:x->v", "quadratic:x->v"], seed=1)
-        for rest in (0.0, 30.0)
+        diagnose(spring(rest), readings(rest, force), effects=asked, seed=1) for rest in (0.0, 30.0)
     ]
     here, there = (one.causes[0] for one in found)
-    assert here.effect == there.effect == "cubic:x->v"
+    assert name in {one.partition(":")[0] for one in here.equivalent}
+    assert set(there.equivalent) == set(here.equivalent)
+    assert there.effect == here.effect
     assert there.size == pytest.approx(here.size, rel=0.1)
-    assert there.parameters["cubic_x__v_zero"] == pytest.approx(30.0, abs=0.1)
+    (zero,) = (value for of, value in there.parameters.items() if of.endswith("_zero"))
+    assert zero == pytest.approx(30.0, abs=0.1)
 
 
 def test_where_the_model_is_at_rest_is_looked_at_too_and_the_middle_away_from_zero():
     for rest, expected in ((0.0, [0.0]), (0.5, [0.0, 0.5]), (30.0, [0.0, 30.0, 30.0])):
-        model, series = spring(rest), stiffening(rest)
+        model, series = spring(rest), readings(rest)
         setting = setting_for(model, series, np.asarray(model.theta()))
         places = [probe[-1] for probe in make_effect("cubic:x->v", setting).probes]
         assert places == pytest.approx(expected, abs=0.2)

@@ -49,15 +49,22 @@ def _static(
         rate = setting.rate(target, product((unit, power)))
         is_rate = setting.is_rate(source) and source == target
         parameters = [Parameter(name, 0.0, rate, description=title)]
-        widths: list[tuple[float, ...]] = [()]
-        if width:
-            start, bounds = setting.distance(source, 0.4), setting.width(source)
-            what = f"distance of {source} from its zero at which it bends"
-            parameters.append(Parameter(f"{name}_width", start, unit, bounds, what))
-            widths = [(setting.distance(source, level),) for level in WIDTHS]
         # of a parabola the record may show one branch; beyond the record x|x| is the same
         afar = power > 1.0 and traits is STIFFNESS
-        counted = origin.of_a_power if afar else partial(origin.counted, probes=widths)
+        places = [
+            origin.probe,
+            *((x,) for x in (*(origin.outside if afar else ()), *origin.inside)),
+        ]
+        probes = places
+        if width:
+            start, bounds = setting.distance(source, 0.4), setting.width(source, origin.inside)
+            what = f"distance of {source} from its zero at which it bends"
+            parameters.append(Parameter(f"{name}_width", start, unit, bounds, what))
+            probes = [
+                (setting.distance(source, level, *place), *place)
+                for place in places
+                for level in WIDTHS
+            ]
 
         def extend(model: MixedModel) -> MixedModel:
             def sized(x: Any, own: Sequence[Any]) -> Any:
@@ -79,7 +86,7 @@ def _static(
             extend=extend,
             look_alikes=look_alikes,
             traits=replace(traits, odd=friction and nothing_rubs(setting, source)),
-            **counted(*parameters),
+            **origin.counted_from(*parameters, probes=probes),
         )
 
     return at_pairs(kind, make, each_pair)
