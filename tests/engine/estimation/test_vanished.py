@@ -235,7 +235,6 @@ def test_nor_are_intervals():
 def test_an_estimation_does_not_end_where_the_moment_filter_took_noise_away():
     series = gained(5, 0.2)
     found = engine.rbps_em(GAIN, series, STUCK, n_particles=50, seed=1, warm_start=False)
-    assert found.outcome is engine.Outcome.CONVERGED
     assert found.theta["r"] > 0.1
 
 
