@@ -13,7 +13,8 @@ MOST_ORDERS = 24
 ROUNDING = 2.0**-54
 MOST_HALVINGS = 1000
 SWEEPS = 12  # of balancing, at most
-NEAR = 1.25  # times the norm of the system before: its units will do
+NEAR = 1.25  # times the norm of the system before: its units will do ...
+FEW = 2.0**10  # ... for steps of no more parts than this: each halving costs a binary digit
 BLOCK = 64  # systems side by side: loops over them are made of vector instructions
 
 
@@ -80,10 +81,12 @@ def integrals(F, G, Qc, dt, count, with_A):
             if not row <= norm:  # also where it is NaN
                 norm = row
         stiffness = dt[k] * norm
-        if stiffness > LONGEST:  # seldom: then it is worth to look whether units make it so
-            balanced = _norm_in(units, F[:, :, k])
-            if not balanced <= max(NEAR * known, LONGEST / dt[k]):  # they will not do for this one
-                balanced = known = _balanced_norm(F[:, :, k], dt[k], units)
+        if LONGEST < stiffness < np.inf:  # seldom: it is worth to look whether units make it so
+            balanced, short = _norm_in(units, F[:, :, k]), LONGEST / dt[k]
+            near = max(min(NEAR * known, FEW * short), short)
+            if not balanced <= near:  # the last system's units are no longer good
+                balanced = _balanced_norm(F[:, :, k], dt[k], units)
+                known = balanced if balanced < np.inf else 0.0
             stiffness = dt[k] * min(norm, balanced)
         if stiffness > LONGEST and stiffness < 2.0**MOST_HALVINGS:
             halvings[k] = math.ceil(math.log2(stiffness / LONGEST))
@@ -248,7 +251,7 @@ def _balanced_norm(F, dt, units):
             if row == column or max(row, column) <= small:
                 continue
             factor = math.sqrt(max(row, small) / max(column, small))
-            if not factor < np.inf:
+            if not 0.0 < factor < np.inf:
                 continue
             factor = 2.0 ** round(math.log2(factor))
             if factor == 1.0:

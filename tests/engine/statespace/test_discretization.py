@@ -12,6 +12,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 from engine.errors import OptionError
+from engine.kernels.van_loan import van_loan
 from engine.statespace.discretization import discretize
 
 
@@ -158,6 +159,24 @@ def test_many_systems_of_which_some_are_stiff():
         alone = discretize(F[k], np.eye(3), Qc, dt=1.0)
         for one, other in zip(together, alone, strict=True):
             np.testing.assert_allclose(one[k], other, rtol=1e-13, atol=1e-13 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("other", [np.inf, -np.inf, np.nan, 1e308, 1e200, 1e30])
+def test_a_system_that_runs_away_says_nothing_about_the_next_ones(other):
+    """Units in which its step is short were taken for theirs, and what was infinite raised OverflowError."""
+    rng = np.random.default_rng(0)
+    for n in (2, 3, 4):
+        size = 10.0 ** rng.uniform(-6.0, 6.0, n)
+        units = size[:, None] / size
+        F = rng.standard_normal((9, n, n)) * 5.0 * units
+        G, Qc, dt = np.ones((9, n, 1)), np.zeros((9, n, n)), np.ones(9)
+        for at in np.ndindex(n, n):
+            beside = F.copy()
+            beside[0][at] = other
+            found = van_loan(beside, G, Qc, dt.copy())[0] / units
+            for k in range(1, 9):
+                alone = van_loan(F[k : k + 1], G[:1], Qc[:1], dt[:1].copy())[0][0] / units
+                assert np.abs(found[k] - alone).max() < 1e-10 * np.abs(alone).max()
 
 
 @pytest.mark.long
