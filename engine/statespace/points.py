@@ -13,7 +13,7 @@ from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Theta
 from engine.statespace.refutation import refutations
 
-KEPT_NUMBERS = 2**20  # at most, of the values at some rows
+KEPT_NUMBERS = 2**22  # at most, of all that is kept: long records take no more memory for it
 
 
 class Points:
@@ -30,6 +30,7 @@ class Points:
         self.model, self.series = model, series
         self._home = None if home is None else model.record(home)
         self._known: dict[tuple[int, bool, bytes], LinearGaussian] = {}
+        self._room = KEPT_NUMBERS
         self.a = np.ascontiguousarray(a)
         self.T, self.N = a.shape[:2]
         model.transitions.look_again(series.u_step)
@@ -52,8 +53,9 @@ class Points:
         if key in self._known:
             return self._known[key]
         found = self._at(rows, record, transition)
-        if found[0].size <= KEPT_NUMBERS:
-            self._known[key] = found
+        size = sum(x.size for x in found)
+        if size <= self._room:
+            self._known[key], self._room = found, self._room - size
         return found
 
     def _at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:

@@ -43,3 +43,22 @@ def test_it_is_kept_at_home_alone_and_until_a_function_is_refuted():
     assert kept.transition(away) is not kept.transition(away)
     count_refutation()
     assert kept.transition(record) is not first
+
+
+def test_of_a_long_record_no_more_is_kept_however_many_rows_are_asked_at_once(monkeypatch):
+    """All of it was kept, block by block, with the matrices of every point."""
+    theta, asked = MODEL.theta(), list[int]()
+    kept, record = points(theta), MODEL.record(theta)
+    one = sum(x.size for x in kept.observation(record, [0]))
+    monkeypatch.setattr("engine.statespace.points.KEPT_NUMBERS", 2 * one)
+    kept = points(theta)
+    whole = Points._at
+
+    def counted(self, rows, record, transition):
+        asked.append(rows[0])
+        return whole(self, rows, record, transition)
+
+    monkeypatch.setattr(Points, "_at", counted)
+    for row in (0, 1, 2, 0, 1, 2):
+        kept.observation(record, [row])
+    assert asked == [0, 1, 2, 2]
