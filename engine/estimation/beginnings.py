@@ -18,6 +18,7 @@ from engine.statespace.model import Array, MixedModel
 from engine.words import enumerated
 
 ELSEWHERE = 1e-5  # p-value of first readings, over all records, from which on it is told
+SHOWN = 5  # records that are told by their numbers
 
 
 def about_beginnings(model: MixedModel, theta: Array, all_series: Sequence[Series]) -> str:
@@ -32,8 +33,10 @@ def about_beginnings(model: MixedModel, theta: Array, all_series: Sequence[Serie
         return ""
     which = "The record begins"
     if len(all_series) > 1:
-        numbers = enumerated([str(k) for k in away])
+        numbers = _some([str(k) for k in away])
         which = f"Of the records, counted from 0, {numbers} begin{'s' if len(away) == 1 else ''}"
+    if len(away) == len(all_series) > SHOWN:
+        which = f"All {len(away)} records begin"
     cuts = about_cuts(all_series, away)
     return (
         f"{which} where the model's first state says that none does, and noise and parameters make up for "
@@ -49,15 +52,26 @@ def about_cuts(
     They are told by their places in the list, or by ``numbers``.
     """
     numbers = range(len(all_series)) if numbers is None else numbers
+    ends = np.array([one.t[-1] for one in all_series])
+    late = ends + [2.0 * np.diff(one.t[one.samples]).max() for one in all_series]
     told = list[str]()
     for k in those:
-        ended = [j for j, one in enumerate(all_series) if j != k and all_series[k].follows(one)]
+        begin = all_series[k].t[0]
+        near = np.flatnonzero((ends < begin) & (begin <= late)).tolist()
+        ended = [j for j in near if all_series[k].follows(all_series[j])]
         if ended:  # of several the one before it in the list
             j = max(ended, key=lambda j: (j < k, j))
             told.append(f"{numbers[k]} begins where {numbers[j]} ends")
     if not told:
         return ""
-    return f" In time, record {enumerated(told)}: give what is one record as one."
+    return f" In time, record {_some(told)}: give what is one record as one."
+
+
+def _some(told: list[str]) -> str:
+    """All of them where they are few, else the first and how many there are beside them."""
+    if len(told) <= SHOWN + 1:
+        return enumerated(told)
+    return enumerated([*told[:SHOWN], f"{len(told) - SHOWN} more"])
 
 
 def first_rows(model: MixedModel, one: Series) -> NDArray[np.intp]:

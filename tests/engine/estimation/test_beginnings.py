@@ -73,6 +73,18 @@ def test_only_parts_that_follow_one_another_are_said_to():
     )
 
 
+def test_of_many_records_some_are_told_by_their_numbers():
+    """A thousand took 9 s and 13,000 letters."""
+    whole = heated()
+    many = [whole.part(k, k + 20) for k in range(100, 180)]
+    text = about_beginnings(block(), block().theta(), many)
+    assert text.startswith("All 80 records begin where")
+    assert text.endswith("24 begins where 4 ends and 55 more: give what is one record as one.")
+    at_rest = [whole.part(0, 20).replace(y=whole.y[:20] + 1e-6 * k) for k in range(3)]
+    text = about_beginnings(block(), block().theta(), [*at_rest, *many[:20]])
+    assert "counted from 0, 3, 4, 5, 6, 7 and 15 more begin where" in text
+
+
 @pytest.mark.long
 def test_nothing_is_said_of_records_of_the_model_itself():
     for seed in range(40):
