@@ -16,8 +16,7 @@ from engine.kernels.taped import filter_taped
 from engine.statespace.model import Array
 from engine.statespace.on_tape import SHORTEST, OnTape, on_tape
 
-# Nats of a row: a filter that predicts one worse is lost, though its numbers may still be finite.
-LEAST = -1e12
+LEAST = -1e12  # nats of a row: a filter that predicts it worse is lost, even if still finite
 
 
 @dataclass
@@ -50,7 +49,7 @@ class Tapes:
             return False
         if any(function.lines.raises for function in both) and not np.isfinite(terms).all():
             return False  # of parameters that lose the filter calls tell why
-        lost = ~np.asarray((terms.reshape(T, -1) > LEAST).all(axis=0))
+        lost = np.asarray(~(terms.reshape(T, -1) > LEAST).all(axis=0))
         if not (
             self.reading.agrees(T - 1, lost=lost)
             and (T - 1 in series.begins or self.moving.agrees(T - 2, lost=lost))
