@@ -60,6 +60,8 @@ class Projection:
 
     def __init__(self, nuisance: Sequence[Column]) -> None:
         self.axes, self.scores = np.empty((0, 0)), np.empty((0, 0))
+        # of a parameter beside which the filter is lost nothing is known
+        nuisance = [c for c in nuisance if np.isfinite(c.s).all() and np.isfinite(c.v).all()]
         if not nuisance:
             return
         V = np.array([c.v for c in nuisance])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,12 @@ from engine import get_model, simulate
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening import score_columns
-from engine.diagnose.screening.score_columns import REACH_ERRORS, effect_columns
+from engine.diagnose.screening.score_columns import (
+    REACH_ERRORS,
+    Column,
+    Projection,
+    effect_columns,
+)
 from engine.filters.sigma_point import moment_path
 
 KINDS = ["pole", "mode", "colored", "latent", "delay"]
@@ -89,3 +96,14 @@ def test_what_all_columns_share_is_found_once(monkeypatch):
     for effect in all_effects(Setting(model), ["bias", "offset"]):
         assert effect_columns(effect, model, theta, series, path)
     assert asked == [path]
+
+
+def test_a_parameter_beside_which_the_filter_is_lost_takes_nothing_out():
+    rng = np.random.default_rng(4)
+    known, lost = (Column(rng.standard_normal(30), rng.standard_normal(60)) for _ in range(2))
+    s, v = rng.standard_normal((2, 30)), rng.standard_normal((2, 60))
+    beside = replace(lost, v=np.where(np.arange(60) == 7, np.nan, lost.v))
+    for one, other in zip(
+        Projection([known])(s, v), Projection([known, beside])(s, v), strict=True
+    ):
+        assert np.array_equal(one, other)
