@@ -11,11 +11,11 @@ from engine.statespace.model import Array, MixedModel
 ROUNDS = 20  # of Newton's method
 SETTLED = 1e-9  # of a state's size: a step that moves no state farther
 BESIDE = 1e-4  # of a state's size, at which slopes are taken
-LEAST_SLOPE = (
-    1e-9  # of a step: a model that answers less goes on by itself, and is at rest anywhere
-)
+# Of a step: a model that answers less goes on by itself, and is at rest anywhere.
+LEAST_SLOPE = 1e-9
 
 
+@np.errstate(all="ignore")  # where it runs away
 def at_rest(model: MixedModel, theta: Array, points: Points, u: Array) -> Array | None:
     """The states (nx,) that a step leaves as they are, with inputs u (nu,) held; None where none is found.
 

@@ -65,8 +65,9 @@ class Setting:
     those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
     step its readings come in, where they show one. ``record`` is what the series showed, None without
     data. ``zeros`` are the known zeros of channels (default: as the model declares and tells), ``afloat``
-    channels whose zero means nothing to the model (default: as it tells); ``substeps`` the steps that the
-    model makes from one sample to the next; ``hold`` what the series says of its inputs between samples;
+    channels whose zero means nothing to the model (default: as it tells), ``rest`` where its states are at
+    rest (likewise); ``substeps`` the steps that the model makes from one sample to the next; ``hold`` what the
+    series says of its inputs between samples;
     ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count; ``regular``
     whether samples are at one common step; ``later`` the times at which further records begin, where the times
     of several tell them apart; ``starts`` those from which what begins with a record counts; ``found`` the
@@ -82,6 +83,7 @@ class Setting:
     record: Record | None = None
     zeros: Mapping[str, float] | None = None
     afloat: frozenset[str] | None = None
+    rest: Mapping[str, float] | None = None
     substeps: int = 1
     hold: str = "zoh"
     held: tuple[str, ...] = ()
@@ -216,13 +218,16 @@ class Setting:
             return ()
         near = float(values.min()) <= zero <= float(values.max())
         places = [] if near else [float(np.median(values))]
-        if channel in self._rest:
+        low, high = self.inside(channel)
+        if low < self._rest.get(channel, -np.inf) < high:
             places.append(self._rest[channel])
         close = ALIKE * self.size(channel)
         return tuple(place for place in places if abs(place - zero) > close)
 
     @cached_property
-    def _rest(self) -> dict[str, float]:
+    def _rest(self) -> Mapping[str, float]:
+        if self.rest is not None:
+            return self.rest
         points, theta = self.points(self.model)
         u = np.array([self.zero(name) for name in self.model.inputs])
         try:
@@ -240,7 +245,7 @@ class Setting:
 
     def keeping_zeros(self) -> Setting:
         """The same for models that effects extend: what an effect adds moves no zero."""
-        return replace(self, zeros=self.known_zeros, afloat=self._afloat)
+        return replace(self, zeros=self.known_zeros, afloat=self._afloat, rest=self._rest)
 
     def is_rate(self, state: str) -> bool:
         """Whether the state is the rate of another one: friction and drag suit it, stiffness does not."""

@@ -1,5 +1,7 @@
 """A position that is counted from a wall, its model at rest elsewhere, and nobody declares where."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,14 @@ def test_what_goes_on_by_itself_or_runs_away_is_at_rest_nowhere():
             parameters=[],
         )
         assert at_rest(model, np.empty(0), points, np.empty(0)) is None
+
+
+def test_the_extended_model_keeps_the_places():
+    model, series = spring(30.0), readings(30.0)
+    setting = setting_for(model, series, np.asarray(model.theta())).keeping_zeros()
+    pushed = make_effect("force:v", setting).apply(model)
+    alone, beside = (
+        make_effect("saturation:x->v", replace(setting, model=of)) for of in (model, pushed)
+    )
+    assert beside.probes == alone.probes
+    assert [p.bounds for p in beside.parameters] == [p.bounds for p in alone.parameters]
