@@ -65,8 +65,8 @@ def by_length(records: Sequence[Series]) -> list[int]:
     """The records' places, the longest first, of those as long the most usual, then the one that moves most.
 
     So it is in whatever order they are given, whatever the units, zeros and signs of their channels, and
-    whatever inputs are there that nothing depends on. Where a far larger one leaves others alike, their numbers
-    decide.
+    whatever inputs are there that nothing depends on. Where a far larger one leaves others alike, readings and
+    inputs decide, one by one.
     """
     far = distances(records).sum(axis=1).round(6)
     moves = [float((x.std(axis=0)).sum().round(6)) for x in standardized([r.y for r in records])]

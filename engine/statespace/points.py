@@ -46,7 +46,7 @@ class Points:
 
     def at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:
         """The transition or the observation at the given rows; x_1 where a record begins next."""
-        if self._home is None or self._home != record:
+        if not self._at_home(record):
             return self._at(rows, record, transition)
         # what a function was found not to take since then is wrong
         key = refutations(), transition, np.asarray(rows).tobytes()
@@ -57,6 +57,13 @@ class Points:
         if size <= self._room:
             self._known[key], self._room = found, self._room - size
         return found
+
+    def _at_home(self, record: Any) -> bool:
+        """Whether the record is that of ``home``; one of several parameter vectors, with arrays, is not."""
+        return self._home is not None and all(
+            isinstance(value, float) and value == own
+            for value, own in zip(record, self._home, strict=True)
+        )
 
     def _at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:
         n, N = len(rows), self.N

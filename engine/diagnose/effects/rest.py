@@ -17,9 +17,10 @@ LEAST_SLOPE = 1e-9
 
 @np.errstate(all="ignore")  # where it runs away
 def at_rest(model: MixedModel, theta: Array, points: Points, u: Array) -> Array | None:
-    """The states (nx,) that a step leaves as they are, with inputs u (nu,) held; None where none is found.
+    """The states (nx,), each in its unit, that a step leaves as they are, with inputs u (nu,) held.
 
-    By Newton's method from the middle of the ``points``.
+    By Newton's method from the middle of the ``points``. None where there is none, as of what goes on by itself.
+    EngineError where the model cannot be used on its way.
     """
     x, scale, t, dt = np.median(points.x, axis=0), points.scale, points.t[0], np.median(points.dt)
     ways = BESIDE * np.vstack([np.diag(scale), -np.diag(scale)])

@@ -62,3 +62,16 @@ def test_of_a_long_record_no_more_is_kept_however_many_rows_are_asked_at_once(mo
     for row in (0, 1, 2, 0, 1, 2):
         kept.observation(record, [row])
     assert asked == [0, 1, 2, 2]
+
+
+def test_several_parameter_vectors_are_asked_as_anywhere():
+    """Their record holds arrays: to compare it with that at home raised ValueError."""
+    theta = MODEL.theta()
+    record = MODEL.record(theta)
+    several = record._replace(
+        **{name: np.full(6, getattr(record, name)) for name in record._fields}
+    )
+    for one, again in zip(
+        points(theta).at([0, 3], several, True), points(None).at([0, 3], several, True), strict=True
+    ):
+        np.testing.assert_array_equal(one, again)
