@@ -19,7 +19,7 @@ LEAST_SLOPE = 1e-9
 def at_rest(model: MixedModel, theta: Array, points: Points, u: Array) -> Array | None:
     """The states (nx,), each in its unit, that a step leaves as they are, with inputs u (nu,) held.
 
-    By Newton's method from the middle of the ``points``. None where there is none, as of what goes on by itself.
+    By Newton's method from the middle of the ``points``. None where there is none, as in what goes on alone.
     EngineError where the model cannot be used on its way.
     """
     x, scale, t, dt = np.median(points.x, axis=0), points.scale, points.t[0], np.median(points.dt)
