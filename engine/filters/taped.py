@@ -36,6 +36,11 @@ class Tapes:
         record = self.reading.u, moving.u, moving.t, moving.dt, begins
         return self.reading.arguments, moving.arguments, record
 
+    def learn(self) -> bool:
+        """Whether one of them was left for another way, and has it now."""
+        learned = [function.learns() for function in (self.reading, self.moving)]
+        return any(learned)
+
     def hold(self, done: bool, terms: Array) -> bool:
         """Whether they were gone through to the end (``done``), and are there what calls say.
 
@@ -95,6 +100,8 @@ def filter_by_tape(
         tuple(moments),
         tuple(gains),
     )
+    if not done and tapes.learn():
+        return filter_by_tape(run, visited, moments, gains)
     return found if tapes.hold(done, found[2]) else None
 
 

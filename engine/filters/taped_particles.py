@@ -72,9 +72,13 @@ def rows_by_tape(
         tuple(map(_flat, updated)),
         tuple(map(_flat, predicted)),
     )
-    if tapes.hold(done, updated[5]):
+    if done and tapes.hold(done, updated[5]):
         return updated, predicted
     rng.bit_generator.state = before
+    if not done and (tapes.learn() or spread.learns()):
+        return rows_by_tape(model, theta, series, first, draw, resampling, ess_threshold, rng)
+    if not done:
+        tapes.hold(done, updated[5])
     return None
 
 

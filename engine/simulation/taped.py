@@ -41,6 +41,8 @@ def run_by_tape(
     X = np.empty((T, K, model.nx))
     X[0] = x1
     done = run_taped(moving.arguments, (moving.u, moving.t, moving.dt), X)
+    if not done and moving.learns():
+        return run_by_tape(model, record, series, x1, lengths)
     if not done:
         moving.note(done)
         return None

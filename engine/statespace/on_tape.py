@@ -7,7 +7,8 @@ where it says something else its tape is given up, and the work is done by calls
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -16,73 +17,62 @@ from numpy.typing import NDArray
 
 from engine.kernels.tape import evaluate
 from engine.statespace.evaluation import ModelFunction
+from engine.statespace.kept_tape import KeptTape, rows_of
 from engine.statespace.rows import Array
-from engine.statespace.tape import LeftError, Lines, Tape, lines_of, record_tape
+from engine.statespace.tape import LeftError, Lines
 
 SHORTEST = 40  # rows of a record, below which recording takes longer than it saves
-WAYS = 4  # through a function, by what its parameters are
 MOST_LEFT = 2  # times that a tape is left before it was gone through as often
-NEW = 3  # passes of a tape, which are looked at from their beginning, too
 SAME = 1e-9  # of the largest entry of its kind
 SLOPES = 1e-7  # of it, where slopes may be differences
 AT_REST = 1e-3  # of it, where these may be beside states at rest
 
 
-@dataclass
-class _Kept:
-    """The ``tapes`` of a function, one for each way that its parameters take through it.
-
-    So many ``ways`` were recorded; how often they were gone through, and left. From so many passes on they are
-    ``known``. It is called where ``over``, and at uneven steps where it is ``even_only``.
-    """
-
-    tapes: list[Tape] = field(default_factory=list)
-    ways: int = 0
-    over: bool = False
-    even_only: bool = False
-    passes: int = 0
-    known: int = 0
-    left: int = 0
-
-    def has_any(self, dt: float | None) -> bool:
-        """Whether there may be a tape for steps of ``dt``, or for uneven ones."""
-        return not (self.over or (dt is None and self.even_only))
-
-    def lines(
-        self, thetas: Array, copies: int, dt: float | None, record: tuple[Array, Array, Array]
-    ) -> Lines | None:
-        """The lines of the tape whose way these parameters take, None where there is none."""
-        for tape in self.tapes:
-            try:
-                found = lines_of(tape, thetas, copies, dt, record)
-            except LeftError:
-                continue
-            if found is None:  # something that no kernel does
-                self.even_only, self.over = True, dt is not None
-            return found
-        return None
-
-
-_KEPT: WeakKeyDictionary[ModelFunction, _Kept] = WeakKeyDictionary()
+_KEPT: WeakKeyDictionary[ModelFunction, KeptTape] = WeakKeyDictionary()
 
 
 @dataclass
 class OnTape:
-    """A model's function on tape, for some rows; its ``call``, and inputs, times and steps of a record.
+    """A model's function on tape, for rows of ``thetas``, and its ``call``.
 
-    ``moves``: it is the dynamics, whose first result are the states of the next row. ``differences``: a call
-    may take its slopes by the states from differences, as a step of differential equations does.
+    ``record`` are inputs, times and steps, ``theta`` is a record of parameters. ``differences``: a call may
+    take its slopes by the states from differences, as a step of differential equations does.
     """
 
-    kept: _Kept
+    kept: KeptTape
+    function: ModelFunction
     lines: Lines
     call: Callable[[int, Array], tuple[Array, Array, Array]]
-    u: Array
-    t: Array
-    dt: Array
-    shapes: Sequence[tuple[int, ...]]
-    moves: bool
+    record: tuple[Array, Array, Array]
+    thetas: Array
+    theta: Any
     differences: bool
+
+    @cached_property
+    def u(self) -> Array:
+        """The inputs (T, .), with what else the tape takes of them and the times."""
+        u, columns = self.record[0], self.lines.columns
+        return np.array(np.concatenate([u, columns], axis=1), order="C") if columns.size else u
+
+    @property
+    def t(self) -> Array:
+        """The times (T,)."""
+        return self.record[1]
+
+    @property
+    def dt(self) -> Array:
+        """The steps (T,)."""
+        return self.record[2]
+
+    @property
+    def shapes(self) -> Sequence[tuple[int, ...]]:
+        """Those of the results."""
+        return self.function.shapes
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is the dynamics, whose first result are the states of the next row."""
+        return self.function.name == "dynamics"
 
     @property
     def results(self) -> tuple[Array, ...]:
@@ -141,6 +131,27 @@ class OnTape:
         known = self.kept.passes >= self.kept.known
         return known or self.agrees(0, a, AT_REST if self.differences else SAME)
 
+    def learns(self) -> bool:
+        """Whether the tape was left for another way, and there is one that has it: the pass begins anew.
+
+        Where a call says something else there no tape is used.
+        """
+        lines, (u, t, _) = self.lines, self.record
+        there = np.asarray(np.isfinite(lines.points).all(axis=1))
+        if not there.any():
+            return False
+        a, heads = lines.points[there], lines.space[lines.na :, 0]
+        now, clock = heads[: u.shape[1]], heads[u.shape[1] + lines.more :][:2]
+        each = np.repeat(self.thetas, len(there) // len(self.thetas), axis=0)[there]
+        rows = a, np.tile(now, (len(a), 1)), np.tile(clock, (len(a), 1)), each
+        if not self.kept.learn_all(self.function, rows, self.theta):
+            return False
+        self.kept.learn_all(self.function, rows_of(self.record, a[0], each[0]), self.theta)
+        own = self.function, self.call, self.record
+        again = on_tape(*own, lines.points, self.thetas, self.theta, self.differences)
+        row = int(np.argmax((t == clock[0]) & (u == now).all(axis=1)))
+        return again is not None and again.agrees(row, lines.points)
+
     def note(self, done: bool) -> None:
         """Note whether it was gone through to the end; it is taken no more where most records leave it."""
         if done:
@@ -187,23 +198,24 @@ def on_tape(
     ``call(t, a)`` calls it at row t, and ``theta`` is a record of the first parameters; ``differences`` as
     :class:`OnTape` has it. None where it must be called.
     """
-    u, t, dt = record
-    kept, copies = _KEPT.setdefault(function, _Kept()), len(a) // len(thetas)
-    first = u[0], float(t[0]), float(dt[0])
-    step = first[2] if (dt[:-1] == dt[0]).all() else None
-    lines = kept.lines(thetas, copies, step, record) if kept.has_any(step) else None
-    if lines is None and kept.has_any(step) and kept.ways < WAYS:
-        kept.ways += 1
-        tape = record_tape(function, a[0], *first, theta)
-        if tape is None:
-            kept.over = not kept.tapes
-        else:
-            kept.tapes.append(tape)
-            kept.known = kept.passes + NEW
-            lines = kept.lines(thetas, copies, step, record)
+    kept, dt = _KEPT.setdefault(function, KeptTape()), record[2]
+    step = float(dt[0]) if (dt[:-1] == dt[0]).all() else None
+    met: list[int] = []
+    if kept.has_any(step) and kept.tape is None:
+        met = kept.learn_all(function, rows_of(record, a[0], thetas[0]), theta)
+        kept.over = kept.tape is None
+    if not kept.has_any(step):
+        return None
+    try:
+        lines = kept.lines(thetas, len(a) // len(thetas), step, record)
+    except LeftError:
+        first = rows_of(record, a[0], thetas[0])
+        states, inputs, clock = (np.tile(x[:1], (len(thetas), 1)) for x in first[:-1])
+        if not kept.learn_all(function, (states, inputs, clock, thetas), theta):
+            return None
+        return on_tape(function, call, record, a, thetas, theta, differences)
     if lines is None:
         return None
-    if lines.columns.size:
-        u = np.array(np.concatenate([u, lines.columns], axis=1), order="C")
-    moves = function.name == "dynamics"
-    return OnTape(kept, lines, call, u, t, dt, function.shapes, moves, differences and moves)
+    own = OnTape(kept, function, lines, call, record, thetas, theta, differences)
+    # of what the record alone decides each way is looked at
+    return own if all(own.agrees(t, a) for t in met[1:]) else None

@@ -1,15 +1,15 @@
 """What a model's function calculates as a tape, for filters that call it at every time step.
 
-The function is recorded once on one row (:mod:`engine.statespace.recorded`), extensions of it and the model
-extended together. What depends on parameters alone is found once for a whole record, by NumPy; the rest are
-lines of :func:`engine.kernels.tape.go_through`. A function with an operation that the kernel does not know has
-no tape. Conditions must turn out as they did when it was recorded, for all rows: else the tape is left.
+The function is recorded on one row of each way through it (:mod:`engine.statespace.ways`), extensions of it
+and the model extended together. What depends on parameters alone is found once for a whole record, by NumPy;
+the rest are lines of :func:`engine.kernels.tape.go_through`. A function with an operation that the kernel does
+not know has no tape. Conditions on which no ways part must turn out as they did: else the tape is left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,23 +18,20 @@ from numpy.typing import NDArray
 
 from engine.kernels.tape import CODES
 from engine.statespace.discretization import checked_step
-from engine.statespace.evaluation import ModelFunction
 from engine.statespace.recorded.arrays import Entry, OfArrays
 from engine.statespace.recorded.numbers import (
     RAISING,
     Condition,
     Operation,
-    Recorder,
-    UntraceableError,
     check_finite,
 )
 from engine.statespace.recorded.of_numpy import Between
 from engine.statespace.recorded.of_python import Searched
 from engine.statespace.recorded.paths import Output
-from engine.statespace.recorded.program import outputs_of, traced_arguments
 from engine.statespace.recorded.tables import At
 from engine.statespace.rows import Array
 from engine.statespace.traced_step import over_a_step
+from engine.statespace.ways import Way
 
 CODE_OF = {getattr(np, name): code for name, code in CODES.items() if hasattr(np, name)} | {
     np.fabs: CODES["absolute"],
@@ -43,8 +40,8 @@ CODE_OF = {getattr(np, name): code for name, code in CODES.items() if hasattr(np
     scipy.special.expit: CODES["expit"],
     check_finite: CODES["check_finite"],
 }
-RESULTS, OPERANDS = 3, 3
-POINTS = 100  # of an interpolation or a table, each of which is a row of the work space
+OPERANDS = 3
+POINTS = 400  # of an interpolation or a table, each of which is a row of the work space
 STEPS = (over_a_step, checked_step)  # functions of whole matrices that the kernel knows
 SQUARE = 2.0
 OF_BOOLEANS = {  # the same as these, of numbers that are true or not
@@ -61,44 +58,19 @@ class LeftError(Exception):
 
 @dataclass(frozen=True)
 class Tape:
-    """One way through a function.
+    """What a function does on one ``way``, or on several merged.
 
-    ``lengths`` of a, u and theta: the arguments are numbered a, u, t, dt, theta; ``known`` are constants by
-    their numbers, ``booleans`` the numbers of values that are true or not.
+    ``lengths`` of a, u and theta: the arguments are numbered a, u, t, dt, theta.
     """
 
     lengths: tuple[int, int, int]
-    known: dict[int, Any]
-    steps: Sequence[Operation | Condition]
-    outputs: Sequence[Output]
-    booleans: frozenset[int]
+    way: Way
     plans: dict[Any, Any] = field(default_factory=dict)  # found once, see :func:`_plan`
 
-
-def record_tape(
-    function: ModelFunction, a: Array, u: Array, t: float, dt: float, theta: Any
-) -> Tape | None:
-    """The tape of a function of a model, from its call for one row a (na,); None where it has none."""
-    recorder = Recorder()
-    numbers = [recorder.number(float(x)) for x in (*a, *u, t, dt, *theta)]
-    before = UntraceableError.raised()
-    try:
-        with recorder, np.errstate(all="ignore"):
-            found = function(*traced_arguments(numbers, len(a), len(u), theta))
-            outputs = outputs_of(found, function.shapes, recorder)
-    except (UntraceableError, Exception):  # noqa: BLE001 - then it has none, and is called
-        return None
-    if recorder.failed is not None or UntraceableError.raised() != before:
-        return None  # it caught that
-    if len(outputs) != RESULTS or any(output is None for output in outputs):
-        return None
-    return Tape(
-        (len(a), len(u), len(theta)),
-        recorder.constants,
-        recorder.done,
-        [output for output in outputs if output is not None],
-        frozenset(recorder.booleans),
-    )
+    @property
+    def outputs(self) -> Sequence[Output]:
+        """The results."""
+        return self.way.outputs
 
 
 @dataclass(frozen=True)
@@ -125,6 +97,11 @@ class Lines:
         """The states a (M, na) of the last call."""
         return np.ascontiguousarray(self.space[: self.na].T)
 
+    @property
+    def more(self) -> int:
+        """How many columns there are."""
+        return len(self.columns.T)
+
 
 def lines_of(
     tape: Tape, thetas: Array, copies: int, dt: float | None, record: Sequence[Array]
@@ -134,7 +111,9 @@ def lines_of(
     ``record`` are inputs (T, nu), times and steps (T,). None where the kernel does not know an operation. What
     inputs and times alone tell may be any. Raises LeftError.
     """
-    known, rest = _of_parameters(tape, thetas, dt)
+    known, rest, outputs = _of_parameters(tape, thetas, dt)
+    if outputs is not tape.outputs:
+        tape = _of_one_side(tape, rest, outputs)
     found = _lines(tape, known, rest, {}, len(thetas), copies)
     if found is None:
         columns, left = _of_record(tape, known, rest, record)
@@ -251,30 +230,58 @@ def _planned(
 
 def _of_parameters(
     tape: Tape, thetas: Array, dt: float | None
-) -> tuple[dict[int, Any], list[Operation | Condition]]:
-    """The values that depend on parameters alone, numbers or (K,), and the operations that are left."""
+) -> tuple[dict[int, Any], list[Operation | Condition], Sequence[Output]]:
+    """The values that depend on parameters alone, numbers or (K,), and the operations that are left.
+
+    And the results, of one side only where these parameters decide for all rows which is taken.
+    """
     na, nu, _ = tape.lengths
-    known = dict(tape.known)
+    known = dict(tape.way.known)
     for i, column in enumerate(thetas.T, na + nu + 2):
         known[i] = column if (column != column[0]).any() else float(column[0])
     if dt is not None:
         known[na + nu + 1] = dt
     rest: list[Operation | Condition] = []
+    taken: dict[int, int] = {}  # of two sides, by the number of the choice
     with np.errstate(divide="raise", over="raise", invalid="raise"):
-        for step in tape.steps:
+        for step in tape.way.steps:
             if isinstance(step, Condition):
-                if step.of not in known:
-                    rest.append(step)
-                elif (np.asarray(known[step.of], dtype=bool) != step.held).any():
+                of = taken.get(step.of, step.of)
+                if of not in known:
+                    rest.append(Condition(of, step.held))
+                elif (np.asarray(known[of], dtype=bool) != step.held).any():
                     raise LeftError
-            elif all(i in known for i in step.of):
+                continue
+            one = step
+            if taken and not taken.keys().isdisjoint(step.of):
+                one = step._replace(of=tuple(taken.get(i, i) for i in step.of))
+            if all(i in known for i in one.of):
                 try:
-                    known[step.out] = step.function(*[known[i] for i in step.of])
+                    known[one.out] = one.function(*[known[i] for i in one.of])
                 except (ArithmeticError, ValueError) as error:
                     raise LeftError from error
+            elif one.function is np.where and np.ndim(known.get(one.of[0], thetas)) == 0:
+                taken[one.out] = one.of[1] if known[one.of[0]] else one.of[2]
             else:
-                rest.append(step)
-    return known, _needed(rest, tape)
+                rest.append(one)
+    outputs = tape.outputs
+    if taken:
+        outputs = [
+            Output(one.shape, one.fixed, [(entry, taken.get(i, i)) for entry, i in one.moving])
+            for one in outputs
+        ]
+    return known, _needed(rest, outputs), outputs
+
+
+def _of_one_side(
+    tape: Tape, rest: Sequence[Operation | Condition], outputs: Sequence[Output]
+) -> Tape:
+    """The tape of what parameters leave of it, kept with its own lines for each such side."""
+    key = tuple((step.of, step.out if isinstance(step, Operation) else -1) for step in rest)
+    if key not in tape.plans:
+        tape.plans[key] = replace(tape, way=replace(tape.way, outputs=outputs), plans={})
+    found: Tape = tape.plans[key]
+    return found
 
 
 def _of_record(
@@ -321,9 +328,11 @@ def _checked(function: Any) -> bool:
     return isinstance(function, OfArrays) and function.function is checked_step
 
 
-def _needed(steps: Sequence[Operation | Condition], tape: Tape) -> list[Operation | Condition]:
+def _needed(
+    steps: Sequence[Operation | Condition], outputs: Sequence[Output]
+) -> list[Operation | Condition]:
     """The operations whose results are used, and the conditions."""
-    wanted = {i for output in tape.outputs for _, i in output.moving}
+    wanted = {i for output in outputs for _, i in output.moving}
     out: list[Operation | Condition] = []
     for step in reversed(steps):
         if isinstance(step, Condition):
@@ -366,7 +375,7 @@ class _Space:
         self.size = len(head)
         self.slots = {i: slot for slot, i in enumerate(head)}
         self.filled: list[tuple[int, int]] = []
-        self._known, self._booleans = known, tape.booleans
+        self._known, self._booleans = known, tape.way.booleans
         self._last = {i: line for line, step in enumerate(rest) for i in _operands(step)}
         self._last |= {i: len(rest) for output in tape.outputs for _, i in output.moving}
         self.links: list[list[int]] = []

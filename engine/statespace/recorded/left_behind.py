@@ -9,6 +9,7 @@ from types import CodeType, FunctionType
 from typing import Any
 
 from engine.statespace.recorded.numbers import Traced, UntraceableError
+from engine.statespace.recorded.tables import one_of, under
 
 # packages whose functions are not looked into
 KNOWN = frozenset({*sys.stdlib_module_names, "numpy", "scipy", "numba", "engine"})
@@ -22,6 +23,18 @@ class KeptDict(dict[Any, Any]):
     """What is there for all calls, in which none may leave something for the next."""
 
     __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __getitem__(self, key: Any) -> Any:
+        return under(self, key) if isinstance(key, Traced) else super().__getitem__(key)
+
+
+class KeptTuple(tuple[Any, ...]):
+    """The same of what never changes."""
+
+    __slots__ = ()
+
+    def __getitem__(self, key: Any) -> Any:
+        return one_of(self, key) if isinstance(key, Traced) else super().__getitem__(key)
 
 
 class KeptList(list[Any]):
@@ -41,7 +54,7 @@ class KeptList(list[Any]):
 
     def __getitem__(self, key: Any) -> Any:
         self._used(read=True)
-        return super().__getitem__(key)
+        return one_of(self, key) if isinstance(key, Traced) else super().__getitem__(key)
 
     def __iter__(self) -> Any:
         self._used(read=True)

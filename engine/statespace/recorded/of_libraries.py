@@ -20,6 +20,7 @@ from engine.statespace.recorded.arrays import (
     opened,
     traced_array,
 )
+from engine.statespace.recorded.curves import pieces_of
 from engine.statespace.recorded.numbers import Traced, UntraceableError, record
 from engine.statespace.rows import Array, is_rows
 
@@ -61,8 +62,11 @@ def of_library(function: Any) -> Callable[..., Any]:
 
 def _curve(function: Any, x: Any) -> Any:
     """A curve, which takes the rows together."""
+    pieces = pieces_of(function)
 
     def height(value: Any) -> Any:
+        if pieces is not None and isinstance(value, Traced):
+            return pieces(value)
         found = record(function, (value,))
         if isinstance(found, Traced) and np.ndim(found.value):
             raise UntraceableError  # of several at once

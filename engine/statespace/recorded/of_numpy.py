@@ -22,6 +22,7 @@ from engine.statespace.recorded.arrays import (
 )
 from engine.statespace.recorded.numbers import Traced, UntraceableError, record
 from engine.statespace.recorded.of_libraries import of_library
+from engine.statespace.recorded.of_linalg import inverted, solved
 from engine.statespace.recorded.of_python import kind_of, searched, unless_traced, within
 from engine.statespace.rows import Array
 
@@ -103,13 +104,6 @@ def _arrays(function: Callable[..., Any], single: bool = True) -> Callable[..., 
     return call
 
 
-def _solve(A: Any, b: Any) -> Any:
-    """``np.linalg.solve``, of a vector or a matrix."""
-    if np.ndim(b) == 2:
-        return _arrays(np.linalg.solve)(A, b)
-    return _arrays(lambda A, b: np.linalg.solve(A, b[..., None])[..., 0])(A, b)
-
-
 def _discretize(F: Any, G: Any = None, Qc: Any = None, *, dt: Any) -> Any:
     """:func:`engine.discretize` of traced matrices."""
     n = np.shape(F)[-1]
@@ -155,6 +149,16 @@ def _select(conditions: Any, choices: Any, default: Any = 0) -> Any:
     out = default
     for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
         out = _where(condition, choice, out)
+    return out
+
+
+def _piecewise(x: Any, condlist: Any, funclist: Any, *args: Any, **options: Any) -> Any:
+    """``np.piecewise``: the last condition that holds decides."""
+    each = [one(x, *args, **options) if callable(one) else one for one in funclist]
+    conditions = condlist if isinstance(condlist, list | tuple) else [condlist]
+    out = each[len(conditions)] if len(each) > len(conditions) else 0.0
+    for condition, height in zip(conditions, each, strict=False):
+        out = _where(condition, height, out)
     return out
 
 
@@ -260,12 +264,13 @@ OF_ENTRIES: dict[Any, Any] = {
     np.interp: _interp,
     np.searchsorted: unless_traced(np.searchsorted, _searched),
     np.select: unless_traced(np.select, _select),
+    np.piecewise: unless_traced(np.piecewise, _piecewise),
     np.isclose: unless_traced(np.isclose, _all_close),
     np.allclose: unless_traced(
         np.allclose, lambda *args, **options: bool(np.all(_all_close(*args, **options)))
     ),
-    np.linalg.inv: _arrays(np.linalg.inv),
-    np.linalg.solve: _solve,
+    np.linalg.inv: inverted(np.linalg.inv),
+    np.linalg.solve: solved(np.linalg.solve),
     np.linalg.norm: _norm,
     np.linalg.det: _arrays(np.linalg.det),
     np.linalg.cholesky: _arrays(np.linalg.cholesky),
@@ -278,8 +283,8 @@ OF_NUMPY: dict[Any, Any] = {
     np.errstate: _errstate,
     np.vectorize: _vectorize,
     np.isscalar: lambda x: isinstance(x, Traced) or np.isscalar(x),
-    scipy.linalg.inv: _arrays(np.linalg.inv),
-    scipy.linalg.solve: _solve,
+    scipy.linalg.inv: inverted(scipy.linalg.inv),
+    scipy.linalg.solve: solved(scipy.linalg.solve),
     scipy.linalg.expm: _expm,
     discretize: _discretize,
 }

@@ -14,6 +14,7 @@ from engine.statespace.recorded.left_behind import (
     KNOWN,
     KeptDict,
     KeptList,
+    KeptTuple,
     names_of,
     package_of,
     remembers,
@@ -38,7 +39,7 @@ def _kept(value: Any, seen: dict[int, Any]) -> Any:
     if isinstance(value, dict):
         return KeptDict({key: own(one) for key, one in value.items()})
     each = [own(one) for one in value]
-    return tuple(each) if isinstance(value, tuple) else KeptList(each, value)
+    return KeptTuple(each) if isinstance(value, tuple) else KeptList(each, value)
 
 
 def _constant(value: Any) -> Any:
@@ -86,7 +87,10 @@ def stand_in(value: Any, seen: dict[int, Any]) -> Any:
         own = traceable(value.__func__, seen, value.__self__)
         return MethodType(own, stand_in(value.__self__, seen))
     if isinstance(value, partial):
-        return partial(stand_in(value.func, seen), *value.args, **value.keywords)
+        given = {name: stand_in(one, seen) for name, one in value.keywords.items()}
+        return partial(
+            stand_in(value.func, seen), *(stand_in(one, seen) for one in value.args), **given
+        )
     if isinstance(value, np.vectorize):
         return vectorized(value, stand_in(value.pyfunc, seen))
     return _users(value, seen)
@@ -137,8 +141,11 @@ def traceable(function: Any, seen: dict[int, Any] | None = None, owner: Any = ob
         own = FunctionType(
             function.__code__, names, function.__name__, function.__defaults__, closure or None
         )
-        own.__kwdefaults__ = function.__kwdefaults__
         seen[id(function)] = own
+        if function.__defaults__:
+            own.__defaults__ = tuple(stand_in(value, seen) for value in function.__defaults__)
+        given = function.__kwdefaults__ or {}
+        own.__kwdefaults__ = {name: stand_in(value, seen) for name, value in given.items()}
         for name in names_of(function.__code__) & names.keys():
             names[name] = stand_in(names[name], seen)
         names.update({name: value for name, value in NAMES.items() if name not in names})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,24 @@ def _entry(table: Array, keys: tuple[Any, ...]) -> Any:
     if table.ndim > 1 or table.size > MOST:
         raise UntraceableError
     return record(At(None, 1), (*keys, *entries))
+
+
+def one_of(each: Sequence[Any], key: Any) -> Any:
+    """The same in a list or tuple, of numbers or of anything else."""
+    if all(type(one) in (int, float) for one in each):
+        return looked_up(np.array(each, dtype=float), key)
+    for i, one in enumerate(each):
+        if key == i or key == i - len(each):
+            return one
+    raise IndexError("there is no such entry")
+
+
+def under(known: Mapping[Any, Any], key: Any) -> Any:
+    """What a dictionary has under such a key."""
+    for own, one in known.items():
+        if isinstance(own, int | float) and key == own:
+            return one
+    raise KeyError("there is no such entry")
 
 
 class Table(np.ndarray[Any, Any]):

@@ -9,7 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import (
+    Akima1DInterpolator,
+    CubicSpline,
+    PchipInterpolator,
+    UnivariateSpline,
+    interp1d,
+    make_interp_spline,
+)
 from scipy.special import expit
 
 import engine
@@ -28,6 +35,7 @@ from engine.models.registry import get_model
 from engine.statespace.continuous import continuous
 from engine.statespace.model import Gaussian, MixedModel, Parameter
 from engine.statespace.on_tape import OnTape
+from engine.statespace.recorded.curves import pieces_of
 
 T, K = 60, 3
 
@@ -216,13 +224,18 @@ def by_scipy(theta, dt):
     return A, np.ones((1, 1)), np.eye(1)
 
 
+def by_roots(theta, dt):
+    A = np.linalg.cholesky(np.array([[1.0, theta.k * dt], [theta.k * dt, 1.0]]))
+    return 0.5 * A, np.ones((1, 1)), np.eye(1)
+
+
 def by_inverses(theta, dt):
     F = np.array([[-theta.k, 1.0], [0.0, -2.0 * theta.k]])
     return np.linalg.inv(np.eye(2) - F * dt), np.ones((1, 1)), np.eye(1)
 
 
 def test_a_model_that_has_none_for_uneven_steps_keeps_the_one_for_even_ones(monkeypatch):
-    model = held(by_inverses)
+    model = held(by_roots)
     theta = thetas_of(model, 4)
     taped, _ = both(model, theta, series_for(model, 5, even=False), monkeypatch)
     assert taped is None
@@ -242,7 +255,7 @@ def test_matrices_over_a_step_that_change_with_time(kind, even, monkeypatch):
 
 
 @pytest.mark.parametrize("even", [True, False])
-@pytest.mark.parametrize("matrices", [discretized, by_scipy])
+@pytest.mark.parametrize("matrices", [discretized, by_scipy, by_inverses])
 def test_so_do_those_of_a_users_function(matrices, even, monkeypatch):
     model = held(matrices)
     assert_same(*both(model, thetas_of(model, 4), series_for(model, 3, even=even), monkeypatch))
@@ -261,26 +274,129 @@ def level(dynamics):
     )
 
 
-def test_a_condition_that_turns_out_otherwise_leaves_the_tape(monkeypatch):
-    def with_time(a, u, t, dt, theta):
-        return (theta.k if t < 2.0 else 0.5) * a, np.zeros((1, 0)), [[0.01]]
+def by_time(a, u, t, dt, theta):
+    return (theta.k if t < 2.0 else 0.5) * a
 
-    model = level(with_time)
+
+def by_input(a, u, t, dt, theta):
+    if u[0] > 2.5:
+        return theta.k * a + 0.1
+    return theta.k * np.arctan(a) if u[0] > 1.0 else 0.8 * a
+
+
+def by_state(a, u, t, dt, theta):
+    out = np.empty_like(a)
+    for i, x in enumerate(a[:, 0]):
+        if x < 0.0:
+            out[i] = theta.k * x
+        elif x > 0.5 and u[0] > 1.5:
+            out[i] = 0.3 + theta.k * math.sqrt(x)
+        else:
+            out[i] = 0.9 * theta.k * x
+    return out
+
+
+def until_it_converges(a, u, t, dt, theta):
+    """An implicit step."""
+    x = a[:, 0]
+    for _ in range(20):
+        step = (x - a[:, 0] - 0.1 * (u[0] - theta.k * x**3)) / (1.0 + 0.3 * theta.k * x**2)
+        x = x - step
+        if np.abs(step).max() < 1e-6:
+            break
+    return x[:, None]
+
+
+LEVELS, NAMED = (0.1, 0.2, 0.3), {0: 0.0, 1: 0.05}
+
+
+def in_turn_of_hours(a, u, t, dt, theta):
+    """Guarded things on one side only: a table's entry, a logarithm, a product with zero."""
+    if 1.0 <= t % 3.0 < 2.0:
+        return theta.k * a + LEVELS[int(u[0] > 1.0) + int(u[0] > 2.0)] + NAMED[int(u[0] > 1.5)]
+    if u[0] > 1.2:
+        return theta.k * a + 0.1 * math.log(u[0] - 1.1)
+    return theta.k * a + 0.0 * u[0]
+
+
+def by_everything(a, u, t, dt, theta):
+    k = theta.k if theta.k > 0.9 else 0.9
+    first = np.where(a > 0.0, k * a, 0.5 * a) if t > 1.0 else 0.7 * a
+    return first + 0.1 * u[0] if u[0] > 1.4 else first
+
+
+SWITCHING = (by_time, by_input, by_state, until_it_converges, in_turn_of_hours, by_everything)
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("step", SWITCHING)
+def test_where_ways_part_each_row_takes_its_own(step, even, monkeypatch):
+    model = level(lambda *given: (step(*given), np.zeros((1, 0)), [[0.01]]))
+    for seed in (1, 2, 3):  # inputs that no record before had
+        series = series_for(model, seed, even)
+        assert_same(*both(model, thetas_of(model, seed), series, monkeypatch))
+    assert_same(*both(model, np.array([[0.85], [0.95]]), series, monkeypatch))
+
+
+def test_a_way_that_only_one_record_takes_is_learned_there(monkeypatch):
+    """The pass begins anew, and the next record finds it."""
+    model = level(lambda *given: (by_input(*given), np.zeros((1, 0)), [[0.01]]))
+    calm, busy = (
+        replace(series_for(model, 1), u=np.full((T, 1), 2.0)),
+        series_for(model, 2),
+    )
+    for series in (calm, busy, calm):
+        assert_same(*both(model, thetas_of(model, 1), series, monkeypatch))
+
+
+def test_a_function_of_too_many_ways_is_called(monkeypatch):
+    def dynamics(a, u, t, dt, theta):
+        for i in range(T):
+            if t < 0.1 * i:
+                return (1.0 - 0.01 * i) * theta.k * a, np.zeros((1, 0)), [[0.01]]
+        return theta.k * a, np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
     taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
     assert taped is None
     assert np.isfinite(called.log_likelihood).all()
 
 
-def test_each_way_that_parameters_take_has_a_tape_of_its_own(monkeypatch):
+def test_what_one_side_says_otherwise_when_called_is_seen(monkeypatch):
+    """A way that does not say what the function does, met in the middle of a record."""
+    asked = []
+
+    def dynamics(a, u, t, dt, theta):
+        if u[0] > 2.0:
+            asked.append(isinstance(a, np.ndarray) and a.dtype == object)
+            return (0.5 if asked[-1] else theta.k) * a, np.zeros((1, 0)), [[0.01]]
+        return theta.k * a, np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    series = replace(series_for(model, 1), u=np.where(np.arange(T) == 30, 3.0, 1.0)[:, None])
+    taped, called = both(model, thetas_of(model, 1), series, monkeypatch)
+    plain = level(lambda a, u, t, dt, theta: (theta.k * a, np.zeros((1, 0)), [[0.01]]))
+    right = both(plain, thetas_of(model, 1), series, monkeypatch)[1]
+    np.testing.assert_allclose(called.log_likelihood, right.log_likelihood, rtol=1e-9)
+    if taped is not None:
+        assert_same(taped, right)
+
+
+def test_parameters_that_decide_alone_leave_one_side(monkeypatch):
     def by_parameter(a, u, t, dt, theta):
-        return (0.5 * a if theta.k > 0.9 else theta.k * a), np.zeros((1, 0)), [[0.01]]
+        return (0.5 * a if theta.k > 0.9 else theta.k * np.tanh(a)), np.zeros((1, 0)), [[0.01]]
 
     model, series = level(by_parameter), series_for(level(by_parameter), 1)
     for k in (0.8, 0.95, 0.7, 0.99):
         assert_same(*both(model, np.array([[k], [k + 1e-6]]), series, monkeypatch))
-    taped, called = both(model, np.array([[0.8], [0.95]]), series, monkeypatch)
-    assert taped is None  # rows on both
-    assert np.isfinite(called.log_likelihood).all()
+    assert_same(*both(model, np.array([[0.8], [0.95]]), series, monkeypatch))  # rows on both
+    lines = [
+        moving_on_tape(
+            FilterSteps(model, Thetas(model, np.array([[k], [k]])), series), np.ones((6, 1))
+        ).lines
+        for k in (0.8, 0.95)
+    ]
+    assert len(lines[0].codes) > len(lines[1].codes)
 
 
 def test_lines_that_are_made_once_hold_for_other_parameters(monkeypatch):
@@ -349,8 +465,8 @@ def test_what_a_function_changes_its_mind_about_is_seen():
 @pytest.mark.parametrize(
     "function",
     [
-        lambda x: np.interp(x, np.linspace(0.0, 2.0, 101), np.linspace(0.0, 1.5, 101) ** 2),
-        lambda x: np.arange(101.0)[np.searchsorted(np.linspace(0.0, 2.0, 100), x)],
+        lambda x: np.interp(x, np.linspace(0.0, 2.0, 401), np.linspace(0.0, 1.5, 401) ** 2),
+        lambda x: np.arange(402.0)[np.searchsorted(np.linspace(0.0, 2.0, 401), x)],
         lambda x: np.eye(3)[np.int64(x) % 3, 1],
         lambda x: np.logaddexp(x, 0.5),
     ],
@@ -383,6 +499,8 @@ def test_what_the_kernel_does_not_know_is_called(function, monkeypatch):
         lambda x: np.searchsorted([0.2, 1.0, 1.0, 2.0], np.floor(x), side="right"),
         lambda x: np.array([0.1, 0.7, 0.3])[-1 - np.searchsorted([0.2, 1.0], x)],
         lambda x: np.array([1.0, 2.0, 3.0])[x.astype(int) % 3],
+        lambda x: np.piecewise(x, [x < 0.3, x > 1.0], [0.2, np.sqrt, lambda x: x**2]),
+        lambda x: np.piecewise(x, [x > 0.1, x > 1.0], [np.sin, 0.7]),
     ],
 )  # fmt: skip
 def test_functions_of_numpy(function, monkeypatch):
@@ -414,6 +532,73 @@ def test_functions_of_python_in_a_loop_over_particles(function, monkeypatch):
     model = level(dynamics)
     taped, called = both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch)
     assert_same(taped, called)
+
+
+X = np.linspace(-3.0, 4.0, 15)
+CURVES = (
+    CubicSpline(X, np.sin(X)),
+    CubicSpline(X, np.sin(X), extrapolate=False),
+    PchipInterpolator(X, np.sin(X)),
+    Akima1DInterpolator(X, np.sin(X)),
+    make_interp_spline(X, np.sin(X)),
+    UnivariateSpline(X, np.sin(X), s=0.1),
+    UnivariateSpline(X, np.sin(X), s=0.0, ext="const"),
+    UnivariateSpline(X, np.sin(X), s=0.0, ext="zeros"),
+    interp1d(X, np.sin(X), fill_value="extrapolate"),
+    interp1d(X, np.sin(X), kind="cubic", bounds_error=False, fill_value=(0.0, 1.0)),
+    interp1d(X, np.sin(X)),
+    CubicSpline(X, np.sin(X)).derivative(),
+)
+
+
+@pytest.mark.parametrize("curve", CURVES, ids=lambda curve: type(curve).__name__)
+def test_curves_of_scipy(curve, monkeypatch):
+    """Given to the function as users do: under a name, and as the default of an argument."""
+
+    def dynamics(a, u, t, dt, theta, own=curve):
+        return theta.k * curve(a[:, 0])[:, None] + 0.1 * own(u[0]), np.zeros((1, 0)), [[0.01]]
+
+    model, rng = level(dynamics), np.random.default_rng(3)
+    series = replace(series_for(model, 1), u=rng.uniform(-2.9, 3.9, (T, 1)))
+    assert_same(*both(model, thetas_of(model, 1), series, monkeypatch))
+
+
+def test_beyond_its_ends_a_curve_is_what_scipy_says():
+    """Read far outside, where each kind goes on in another way or has no value."""
+    far = np.array([-9.0, -3.1, -3.0, 0.37, 1.0, 4.0, 4.2, 20.0])
+    for curve in CURVES:
+        model = level(lambda a, u, t, dt, th, f=curve: (f(a), np.zeros((1, 0)), [[0.01]]))
+        found = [pieces_of(curve).at(far)]
+        expected = curve(far) if not pieces_of(curve).raises else None
+        if expected is not None:
+            np.testing.assert_allclose(found[0], expected, rtol=1e-12, atol=1e-12)
+            taken, *_ = model.transition(far[:, None], [0.0], 0.0, 1.0, model.record(model.theta()))
+            np.testing.assert_allclose(taken[:, 0], expected, rtol=1e-12, atol=1e-12)
+    model = level(lambda a, u, t, dt, th: (CURVES[-2](a), np.zeros((1, 0)), [[0.01]]))
+    with pytest.raises(ModelError, match="interpolation range"):
+        model.transition(far[:, None], [0.0], 0.0, 1.0, model.record(model.theta()))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
+def test_equations_that_are_solved_in_a_step(n, seed, monkeypatch):
+    """An implicit step with pivots in any order, and matrices that states change."""
+    rng = np.random.default_rng(seed)
+    M, w, c = rng.standard_normal((n, n)), rng.standard_normal(n), rng.standard_normal((n, n))
+
+    def dynamics(a, u, t, dt, theta):
+        rows = np.array([w * theta.k * np.tanh(x[0]) + 0.1 * u[0] for x in a])
+        fixed = np.array([np.linalg.solve(M, row) for row in rows])
+        moving = M + c * a[:, 0, None, None] if n < 5 else M * theta.k
+        moved = (
+            np.linalg.solve(moving, rows[:, :, None])[:, :, 0]
+            if n < 5
+            else rows @ np.linalg.inv(moving)
+        )
+        return 0.1 * np.tanh(fixed + moved).sum(axis=1)[:, None], np.zeros((1, 0)), [[0.01]]
+
+    model = level(dynamics)
+    assert_same(*both(model, thetas_of(model, 1), series_for(model, 1), monkeypatch))
 
 
 @pytest.mark.parametrize("even", [True, False])

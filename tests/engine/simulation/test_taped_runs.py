@@ -68,18 +68,19 @@ def test_a_run_that_is_lost_ends_there(monkeypatch):
     assert not np.isfinite(taped[-1]).any()
 
 
-def test_another_way_through_the_function_is_called(monkeypatch):
+def test_another_way_through_the_function_is_taken():
     def switched(a, u, t, dt, theta):
         return (theta.k if a[0, 0] > 0.5 else 0.2 * theta.k) * a, np.zeros((1, 0)), [[0.01]]
 
     model = level(switched)
     series, record = series_for(model, 1), model.record(model.theta())
     run = states_of(model, record, series, np.array([1.0]))
-    assert run_by_tape(model, record, series, np.array([[1.0]]), series.steps) is None
+    taped = run_by_tape(model, record, series, np.array([[1.0]]), series.steps)
     expected = [1.0]
     for _ in range(len(series) - 1):
         expected.append((0.9 if expected[-1] > 0.5 else 0.18) * expected[-1])
     np.testing.assert_allclose(run[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(taped[:, 0, 0], expected, rtol=1e-12)
 
 
 def test_a_record_that_starts_at_rest_stays_on_tape(monkeypatch):

@@ -8,8 +8,9 @@ import pytest
 import engine
 from engine.statespace.recorded.derivatives import linear_in
 from engine.statespace.recorded.numbers import Recorder, Traced
-from engine.statespace.tape import lines_of, record_tape
+from engine.statespace.tape import Tape, lines_of
 from engine.statespace.traced_step import over_a_step
+from engine.statespace.ways import record_way
 
 X, K = 3.0, 2.0
 
@@ -66,10 +67,10 @@ def test_a_step_of_linear_equations_is_found_once_for_all_states(bent):
     """At steps of one length it is found before any state is; a difference would tell it for each by itself."""
     model = compartments(bent)
     theta = np.asarray(model.theta())
-    tape = record_tape(
-        model.transitions, np.array([1.3, 0.4]), np.array([0.5]), 0.0, 0.25, model.record(theta)
-    )
+    row = np.array([1.3, 0.4]), np.array([0.5]), np.array([0.0, 0.25]), theta
+    way = record_way(model.transitions, row, model.record(theta))
+    tape = Tape((2, 1, len(theta)), way)
     record = np.full((9, 1), 0.5), 0.25 * np.arange(9), np.full(9, 0.25)
     lines = lines_of(tape, np.tile(theta, (3, 1)), 5, 0.25, record)
-    assert any(getattr(step.function, "function", None) is over_a_step for step in tape.steps)
+    assert any(getattr(step.function, "function", None) is over_a_step for step in way.steps)
     assert (len(lines.links) == 0) == (bent == 0.0)

@@ -1,0 +1,89 @@
+"""The tape of a function as it is kept from pass to pass, and how it learns the ways through the function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from engine.statespace.evaluation import ModelFunction
+from engine.statespace.rows import Array
+from engine.statespace.tape import Lines, Tape, lines_of
+from engine.statespace.ways import PartedError, Way, merged, parted, record_way
+
+WAYS = 32  # through a function, by what its arguments are
+NEW = 3  # passes of a tape, which are looked at from their beginning, too
+# states (M, na), inputs (M, nu), time and step (M, 2) and parameters (M, n) of rows
+Rows = tuple[Array, Array, Array, Array]
+
+
+@dataclass
+class KeptTape:
+    """The ``tape`` of a function, of all ``ways`` through it that were met.
+
+    How often it was gone through, and left. From so many passes on it is ``known``. The function is called
+    where ``over``, and at uneven steps where it is ``even_only``.
+    """
+
+    tape: Tape | None = None
+    ways: list[Way] = field(default_factory=list)
+    over: bool = False
+    even_only: bool = False
+    passes: int = 0
+    known: int = 0
+    left: int = 0
+
+    def has_any(self, dt: float | None) -> bool:
+        """Whether there may be a tape for steps of ``dt``, or for uneven ones."""
+        return not (self.over or (dt is None and self.even_only))
+
+    def lines(
+        self, thetas: Array, copies: int, dt: float | None, record: tuple[Array, Array, Array]
+    ) -> Lines | None:
+        """The lines for these parameters. None where there are none. Raises LeftError."""
+        if self.tape is None:
+            return None
+        found = lines_of(self.tape, thetas, copies, dt, record)
+        if found is None:  # something that no kernel does
+            self.even_only, self.over = True, dt is not None
+        return found
+
+    def learn(self, function: ModelFunction, rows: Rows, theta: Any) -> int | None:
+        """Take in another way that some of the rows take; the first row that takes it, None where none does.
+
+        The tape is as it was where the way cannot be taken in.
+        """
+        columns = [x for each in rows for x in each.T]
+        row = 0 if self.tape is None else parted(self.tape.way, columns)
+        if row is None or len(self.ways) >= WAYS:
+            return None
+        own = [each[row] for each in rows]
+        way = record_way(function, own, theta._make(own[-1]))
+        if way is None:
+            return None
+        try:
+            one = merged([*self.ways, way], sum(map(len, own)))
+        except PartedError:
+            return None
+        if parted(one, columns) == row:  # rounding decides
+            return None
+        self.ways.append(way)
+        na, nu, _, parameters = map(len, own)
+        self.tape = Tape((na, nu, parameters), one)
+        self.known = self.passes + NEW
+        return row
+
+    def learn_all(self, function: ModelFunction, rows: Rows, theta: Any) -> list[int]:
+        """Take in all ways that rows take; the first row of each that was new."""
+        found = list[int]()
+        while (row := self.learn(function, rows, theta)) is not None:
+            found.append(row)
+        return found
+
+
+def rows_of(record: tuple[Array, Array, Array], a: Array, theta: Array) -> Rows:
+    """All rows of a record at the same states and parameters."""
+    u, t, dt = record
+    steps = np.append(dt[:-1], dt[-2])  # the last has no meaning
+    return np.tile(a, (len(t), 1)), u, np.stack([t, steps], axis=1), np.tile(theta, (len(t), 1))
