@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy.integrate
 import scipy.linalg
 
 from engine.statespace.discretization import checked_step, discretize
@@ -21,6 +22,7 @@ from engine.statespace.recorded.arrays import (
     traced_array,
 )
 from engine.statespace.recorded.numbers import Traced, UntraceableError, record
+from engine.statespace.recorded.of_integrate import solved_ivp
 from engine.statespace.recorded.of_libraries import of_library
 from engine.statespace.recorded.of_linalg import inverted, solved
 from engine.statespace.recorded.of_python import kind_of, searched, unless_traced, within
@@ -286,6 +288,7 @@ OF_NUMPY: dict[Any, Any] = {
     scipy.linalg.inv: inverted(scipy.linalg.inv),
     scipy.linalg.solve: solved(scipy.linalg.solve),
     scipy.linalg.expm: _expm,
+    scipy.integrate.solve_ivp: solved_ivp,
     discretize: _discretize,
 }
 by_entries.update({**OF_ENTRIES, np.sum: _sum})

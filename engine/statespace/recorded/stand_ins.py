@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 from collections.abc import Callable
 from functools import partial
 from types import BuiltinFunctionType, CellType, FunctionType, MethodType, ModuleType
@@ -58,6 +59,11 @@ class _Module:
 
     def __getattr__(self, name: str) -> Any:
         return stand_in(getattr(self._module, name), self._seen)
+
+
+def _importing(seen: dict[int, Any]) -> Callable[..., Any]:
+    """``import`` within a function."""
+    return lambda *given, **options: stand_in(builtins.__import__(*given, **options), seen)
 
 
 def stand_in(value: Any, seen: dict[int, Any]) -> Any:
@@ -137,6 +143,7 @@ def traceable(function: Any, seen: dict[int, Any] | None = None, owner: Any = ob
         if package_of(function) != OWN and remembers(function, owner):
             raise UntraceableError
         names = dict(function.__globals__)
+        names["__builtins__"] = vars(builtins) | {"__import__": _importing(seen)}
         closure = tuple(CellType() for _ in function.__closure__ or ())
         own = FunctionType(
             function.__code__, names, function.__name__, function.__defaults__, closure or None
