@@ -12,7 +12,7 @@ from engine.statespace.rows import Array
 from engine.statespace.tape import Lines, Tape, lines_of
 from engine.statespace.ways import PartedError, Way, merged, parted, record_way
 
-WAYS = 32  # through a function, by what its arguments are
+WAYS = 16  # through a function: more take longer to learn than they save in the screens of many effects
 NEW = 3  # passes of a tape, which are looked at from their beginning, too
 # states (M, na), inputs (M, nu), time and step (M, 2) and parameters (M, n) of rows
 Rows = tuple[Array, Array, Array, Array]

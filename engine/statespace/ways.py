@@ -115,7 +115,7 @@ class _Merged:
         names = dict(names)
         while at < len(ways[0].steps):
             step = ways[0].steps[at]
-            if not all(at < len(way.steps) and _alike(step, way.steps[at]) for way in ways):
+            if not all(at < len(way.steps) and _alike(ways[0], way, at) for way in ways[1:]):
                 raise PartedError
             if isinstance(step, Operation):
                 self._do(step, ways[0], names, side)
@@ -199,8 +199,12 @@ class _Merged:
         return self.values - 1
 
 
-def _alike(one: Operation | Condition, other: Operation | Condition) -> bool:
+def _alike(one: Way, other: Way, at: int) -> bool:
     """Whether two ways do the same there; a condition may turn out otherwise."""
-    if isinstance(one, Condition) or isinstance(other, Condition):
-        return type(one) is type(other) and one.of == other.of
-    return one[1:] == other[1:] and type(one.function) is type(other.function)
+    step, others = one.steps[at], other.steps[at]
+    if isinstance(step, Condition) or isinstance(others, Condition):
+        return type(step) is type(others) and step.of == others.of
+    if step[1:] != others[1:] or type(step.function) is not type(others.function):
+        return False
+    pairs = ((one.known[i], other.known[i]) for i in step.of if i in one.known)
+    return all(x is y or np.array_equal(x, y) for x, y in pairs)

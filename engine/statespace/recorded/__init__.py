@@ -5,10 +5,11 @@ written so, and takes no rows. What such a function calculates can be written do
 that remember where they come from (:mod:`.numbers`, :mod:`.arrays`), as programs for automatic
 differentiation do ("operator overloading": A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed. 2008,
 ch. 6). The list of operations is then gone through for all rows at once (:mod:`.program`). Conditions are
-part of the list: rows for which one turns out otherwise are recorded by themselves.
+part of the list: rows for which one turns out otherwise are recorded by themselves. Where a whole number
+becomes a length or a key, which number it is counts as such a condition.
 
-What cannot be written down (a number that becomes a length, a text or a key) is refused, and the function is
-called row by row. So is a function that reads what it left at its last call (:mod:`.left_behind`). Each way
+What cannot be written down (a number that becomes a text) is refused, and the function is called row by row.
+So is a function that reads what it left at its last call (:mod:`.left_behind`). Each way
 through a function is compared with a call of it for the row on which it was recorded, and all are tested as any
 call of many rows is, by :mod:`engine.statespace.evaluation`.
 

@@ -116,6 +116,20 @@ class TracedArray(np.ndarray[Any, Any]):
         each = np.frompyfunc(known, 1, 1)(self.view(np.ndarray))
         return np.asarray(each, dtype=object).reshape(self.shape).view(TracedArray)
 
+    def mean(self, axis: Any = None, **options: Any) -> Any:  # type: ignore[override]
+        """By :func:`numpy.mean`, which is told of."""
+        return (
+            np.mean(self, axis=axis, **options)
+            if Recorder.running()
+            else super().mean(axis, **options)
+        )
+
+    def round(self, decimals: Any = 0, **options: Any) -> Any:
+        """By :func:`numpy.round`."""
+        return (
+            np.round(self, decimals) if Recorder.running() else super().round(decimals, **options)
+        )
+
     def __getitem__(self, key: Any) -> Any:
         if is_key(key) and Recorder.running():
             return traced_array(looked_up(self.view(np.ndarray), key))

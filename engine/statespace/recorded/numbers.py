@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Self, cast
 import numpy as np
 
 LIMIT = 20_000  # operations of one path
+COUNTED = 200  # whole numbers of which each has a way of its own
 
 
 class UntraceableError(BaseException):
@@ -116,6 +117,8 @@ class Recorder:
         except Exception as error:
             self.failed = error
             raise
+        if isinstance(value, np.ndarray) and value.ndim == 0:  # as np.where has numbers
+            value = value[()]
         of = tuple(x.index if isinstance(x, Traced) else self.constant(x) for x in operands)
         out = self.number(value)
         if isinstance(value, bool | np.bool_):
@@ -155,6 +158,24 @@ def _plain(make: Callable[..., Any]) -> Callable[..., Any]:
     return method
 
 
+def _decided(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """What a whole number is used for: a way of its own for each, as for the answers of a condition."""
+
+    def method(x: Traced) -> Any:
+        value = x.value
+        if x.recorder.open and not isinstance(value, bool | np.bool_):
+            if not (isinstance(value, float) and value.is_integer() and 0.0 <= value < COUNTED):
+                raise UntraceableError
+            value = int(value)
+            for each in range(value + 1):  # in this order on all ways
+                x.recorder.condition(x.recorder.operation(np.equal, (x, float(each))))
+        elif x.recorder.open:
+            value = x.recorder.condition(x)
+        return make(value)
+
+    return method
+
+
 class Traced:
     """A number of one row, with its place in the list of a recorder."""
 
@@ -172,7 +193,7 @@ class Traced:
 
     # no len(x), iter(x) and x[0], which a number does not have either
     __float__, __int__, __complex__ = _plain(float), _plain(int), _plain(complex)
-    __index__, __hash__ = _plain(operator.index), _plain(hash)
+    __index__, __hash__ = _decided(operator.index), _decided(hash)
     __str__, __repr__, __format__ = _plain(str), _plain(repr), _plain(format)
     __reduce_ex__ = _plain(lambda value, _: (type(value), (value,)))
 

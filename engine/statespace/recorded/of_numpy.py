@@ -134,11 +134,24 @@ def _expm(M: Any) -> Any:
     return of_library(scipy.linalg.expm)(M)
 
 
-def _norm(x: Any) -> Any:
-    """``np.linalg.norm`` of a vector."""
-    if np.ndim(x) != 1:
+def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+    """``np.linalg.norm`` of vectors."""
+    if ord not in (None, 2) or isinstance(axis, tuple) or (axis is None and np.ndim(x) != 1):
         raise UntraceableError
-    return np.sqrt(sum(_as_objects(x).view(TracedArray) ** 2))
+    return np.sqrt(_sum(np.square(_nested(x)), axis=axis, keepdims=keepdims))
+
+
+def _sinc(x: Any) -> Any:
+    """``np.sinc``."""
+    x = np.multiply(x, np.pi)
+    return _where(np.equal(x, 0.0), 1.0, np.sin(x) / _where(np.equal(x, 0.0), 1.0, x))
+
+
+def _rounded(x: Any, decimals: int = 0) -> Any:
+    """``np.round``."""
+    if decimals < 0:
+        raise UntraceableError
+    return np.rint(x * 10.0**decimals) / 10.0**decimals if decimals else np.rint(x)
 
 
 def _all_close(x: Any, y: Any, rtol: float = 1e-5, atol: float = 1e-8) -> Any:
@@ -220,6 +233,15 @@ def _sum(x: Any, axis: Any = None, **options: Any) -> Any:
     return applied(np.add, "reduce", (_nested(x),), {"axis": axis, **options})
 
 
+def _mean(x: Any, axis: Any = None, **options: Any) -> Any:
+    """``np.mean``."""
+    entries = np.asarray(_nested(x)).view(np.ndarray)
+    if entries.ndim == 0:
+        return x
+    shape = entries.shape if axis is None else np.take(entries.shape, axis)
+    return _sum(x, axis=axis, **options) / float(np.prod(shape))
+
+
 def _errstate(**options: Any) -> Any:
     """``np.errstate``; what NumPy does in silence is recorded only."""
     if "raise" in options.values() or "call" in options.values():
@@ -266,6 +288,11 @@ OF_ENTRIES: dict[Any, Any] = {
     np.interp: _interp,
     np.searchsorted: unless_traced(np.searchsorted, _searched),
     np.select: unless_traced(np.select, _select),
+    np.deg2rad: unless_traced(np.deg2rad, lambda x: np.multiply(x, np.pi / 180.0)),
+    np.radians: unless_traced(np.radians, lambda x: np.multiply(x, np.pi / 180.0)),
+    np.rad2deg: unless_traced(np.rad2deg, lambda x: np.multiply(x, 180.0 / np.pi)),
+    np.degrees: unless_traced(np.degrees, lambda x: np.multiply(x, 180.0 / np.pi)),
+    np.sinc: unless_traced(np.sinc, _sinc),
     np.piecewise: unless_traced(np.piecewise, _piecewise),
     np.isclose: unless_traced(np.isclose, _all_close),
     np.allclose: unless_traced(
@@ -291,4 +318,4 @@ OF_NUMPY: dict[Any, Any] = {
     scipy.integrate.solve_ivp: solved_ivp,
     discretize: _discretize,
 }
-by_entries.update({**OF_ENTRIES, np.sum: _sum})
+by_entries.update({**OF_ENTRIES, np.sum: _sum, np.mean: _mean, np.round: _rounded})

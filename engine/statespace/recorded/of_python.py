@@ -211,6 +211,7 @@ OF_PYTHON: dict[Any, Any] = {
     math.log: _log,
     math.hypot: _hypot,
     math.dist: _dist,
+    math.fsum: unless_traced(math.fsum, sum),
     math.isclose: unless_traced(math.isclose, _close),
     np.float64: _Number(np.float64, as_float),
     float: _Number(float, as_float),

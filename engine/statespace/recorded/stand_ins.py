@@ -156,6 +156,9 @@ def traceable(function: Any, seen: dict[int, Any] | None = None, owner: Any = ob
         for name in names_of(function.__code__) & names.keys():
             names[name] = stand_in(names[name], seen)
         names.update({name: value for name, value in NAMES.items() if name not in names})
-        for cell, original in zip(closure, function.__closure__ or (), strict=True):
-            cell.cell_contents = stand_in(original.cell_contents, seen)
+        free = function.__code__.co_freevars
+        for name, cell, original in zip(free, closure, function.__closure__ or (), strict=True):
+            given = original.cell_contents
+            # super() goes on from the class itself, of which the one that stands in is a kind
+            cell.cell_contents = given if name == "__class__" else stand_in(given, seen)
     return seen[id(function)]
