@@ -117,18 +117,16 @@ class TracedArray(np.ndarray[Any, Any]):
         return np.asarray(each, dtype=object).reshape(self.shape).view(TracedArray)
 
     def mean(self, axis: Any = None, **options: Any) -> Any:  # type: ignore[override]
-        """By :func:`numpy.mean`, which is told of."""
-        return (
-            np.mean(self, axis=axis, **options)
-            if Recorder.running()
-            else super().mean(axis, **options)
-        )
+        """By :func:`numpy.mean`, which has a stand-in."""
+        if Recorder.running():
+            return np.mean(self, axis=axis, **options)
+        return super().mean(axis, **options)
 
-    def round(self, decimals: Any = 0, **options: Any) -> Any:
+    def round(self, decimals: Any = 0, **options: Any) -> Any:  # type: ignore[override]
         """By :func:`numpy.round`."""
-        return (
-            np.round(self, decimals) if Recorder.running() else super().round(decimals, **options)
-        )
+        if Recorder.running():
+            return np.round(self, decimals)
+        return super().round(decimals, **options)
 
     def __getitem__(self, key: Any) -> Any:
         if is_key(key) and Recorder.running():
