@@ -77,6 +77,7 @@ from engine.forked import in_processes
 from engine.randomness import check_seed
 from engine.simulation.rates import check_no_rates
 from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.statespace.on_tape import about_calls
 from engine.threads import single_threaded
 from engine.words import enumerated, meant, moment
 
@@ -325,6 +326,7 @@ def diagnose(  # noqa: PLR0913
     if not (judged.causes and has_tails(judged.search)):
         notes.extend(filter(None, [about_own_steps(fitted_last, searched, causes.setting)]))
     notes.extend(at_most_in_words(after.model, after.theta, judged.causes, after.free))
+    notes.extend(filter(None, [about_calls([model.transitions, model.observations])]))
     edge = about_edges(after.model, after.theta, after.free, [shown])
     notes.extend([edge] if edge else [])
     clock.start("symptoms")

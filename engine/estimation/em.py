@@ -34,6 +34,7 @@ from engine.filters.proposals import Proposal
 from engine.statespace.base import BaseModel
 from engine.statespace.clock import about_clock
 from engine.statespace.model import MixedModel, Theta, ThetaLike
+from engine.statespace.on_tape import about_calls
 from engine.threads import single_threaded
 
 METHODS = ("quasi-newton", "em")
@@ -304,6 +305,7 @@ def remark(model: BaseModel, found: EmResult, all_series: Sequence[Series]) -> s
     told = [about_faults(model.outputs, model.inputs, all_series, outliers=gaussian)]
     if isinstance(model, MixedModel):
         told.append(about_clock(model, all_series))
+        told.append(about_calls([model.transitions, model.observations]))
         if found.outcome.success:
             told.append(about_edges(model, found.theta, found.free, all_series))
             if gaussian:

@@ -10,7 +10,7 @@ import numpy as np
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.rows import Array
 from engine.statespace.tape import Lines, Tape, lines_of
-from engine.statespace.ways import PartedError, Way, merged, parted, record_way
+from engine.statespace.ways import PartedError, UnrecordedError, Way, merged, parted, record_way
 
 WAYS = 16  # through a function: more take longer to learn than they save in the screens of many effects
 NEW = 3  # passes of a tape, which are looked at from their beginning, too
@@ -23,7 +23,8 @@ class KeptTape:
     """The ``tape`` of a function, of all ``ways`` through it that were met.
 
     How often it was gone through, and left. From so many passes on it is ``known``. The function is called
-    where ``over``, and at uneven steps where it is ``even_only``.
+    where ``over``, and at uneven steps where it is ``even_only``; ``where`` is the place in it that cannot be
+    recorded.
     """
 
     tape: Tape | None = None
@@ -33,6 +34,7 @@ class KeptTape:
     passes: int = 0
     known: int = 0
     left: int = 0
+    where: str = ""
 
     def has_any(self, dt: float | None) -> bool:
         """Whether there may be a tape for steps of ``dt``, or for uneven ones."""
@@ -59,11 +61,12 @@ class KeptTape:
         if row is None or len(self.ways) >= WAYS:
             return None
         own = [each[row] for each in rows]
-        way = record_way(function, own, theta._make(own[-1]))
-        if way is None:
-            return None
         try:
+            way = record_way(function, own, theta._make(own[-1]))
             one = merged([*self.ways, way], sum(map(len, own)))
+        except UnrecordedError as error:
+            self.where = str(error)
+            return None
         except PartedError:
             return None
         if parted(one, columns) == row:  # rounding decides

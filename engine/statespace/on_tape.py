@@ -20,6 +20,7 @@ from engine.statespace.evaluation import ModelFunction
 from engine.statespace.kept_tape import KeptTape, rows_of
 from engine.statespace.rows import Array
 from engine.statespace.tape import LeftError, Lines
+from engine.words import enumerated
 
 SHORTEST = 40  # rows of a record, below which recording takes longer than it saves
 MOST_LEFT = 2  # times that a tape is left before it was gone through as often
@@ -181,6 +182,22 @@ def _sizes(of: Array, there: NDArray[np.bool_]) -> Array:
     """The largest finite size of each entry (1 or M, ...) in rows ``there`` (M,)."""
     rows = of[there] if len(of) > 1 else of
     return np.asarray(np.abs(np.where(np.isfinite(rows), rows, 0.0)).max(axis=0, initial=0.0))
+
+
+def about_calls(functions: Sequence[ModelFunction]) -> str:
+    """A sentence on functions of a model, asked for a tape before, that had to be called, else ""."""
+    called = [
+        (each.name, _KEPT[each].where) for each in functions if each in _KEPT and _KEPT[each].over
+    ]
+    if not called:
+        return ""
+    which = enumerated(
+        [f"{name} ({where.rstrip('; ')})" if where else name for name, where in called]
+    )
+    return (
+        f"Compiled filters could not be used for {which}, and calls take many times as long. Compiled are "
+        "formulas of NumPy and of math, curves of scipy.interpolate, solve_ivp and engine.discretize."
+    )
 
 
 def on_tape(

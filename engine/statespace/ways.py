@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.statespace.evaluation import ModelFunction
+from engine.statespace.evaluation import ModelFunction, line_of
 from engine.statespace.recorded.numbers import (
     LIMIT,
     Condition,
@@ -44,12 +44,16 @@ class Way:
     booleans: frozenset[int]
 
 
+class UnrecordedError(Exception):
+    """A function that no list of operations tells, with the place in a user's file, "" where unknown."""
+
+
 class PartedError(Exception):
     """Ways that part without a condition: the function is not the same each time."""
 
 
-def record_way(function: ModelFunction, row: Sequence[Array], theta: Any) -> Way | None:
-    """The way of a row: states (na,), inputs (nu,), time and step (2,), parameters; None where untraceable."""
+def record_way(function: ModelFunction, row: Sequence[Array], theta: Any) -> Way:
+    """The way of a row: states (na,), inputs (nu,), time and step (2,), parameters. Raises UnrecordedError."""
     a, u, *_ = row
     recorder = Recorder()
     numbers = [recorder.number(float(x)) for x in np.concatenate(row)]
@@ -58,12 +62,12 @@ def record_way(function: ModelFunction, row: Sequence[Array], theta: Any) -> Way
         with recorder, np.errstate(all="ignore"):
             given = traced_arguments(numbers, len(a), len(u), theta)
             outputs = outputs_of(function(*given), function.shapes, recorder)
-    except (UntraceableError, Exception):  # noqa: BLE001 - then it has none, and is called
-        return None
+    except (UntraceableError, Exception) as error:
+        raise UnrecordedError(line_of(error)) from error
     if recorder.failed is not None or UntraceableError.raised() != before:
-        return None  # it caught that
+        raise UnrecordedError("")  # it caught that
     if len(outputs) != RESULTS or any(output is None for output in outputs):
-        return None
+        raise UnrecordedError("")
     own = [output for output in outputs if output is not None]
     return Way(recorder.done, own, recorder.constants, frozenset(recorder.booleans))
 

@@ -12,6 +12,7 @@ from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.sigma_point import moment_filter, run_on_tape
 from engine.statespace.model import Gaussian, MixedModel, Parameter
+from engine.statespace.on_tape import about_calls
 
 T = 60
 
@@ -113,3 +114,15 @@ def test_methods_that_are_not_recorded_are_called():
     expected = [implicitly(x[None], np.array([0.5]), 0.0, 0.4, record)[0] for x in a]
     np.testing.assert_array_equal(got, expected)
     assert not model.transitions.recorded
+
+
+@pytest.mark.long
+def test_who_has_to_be_called_is_told_where():
+    model = model_of(implicitly)
+    moment_filter(model, np.array([[3.0]]), series())
+    told = about_calls([model.transitions, model.observations])
+    assert "could not be used for dynamics (test_of_integrate.py, line " in told
+    assert "in <listcomp>)" in told or "in implicitly)" in told
+    model = model_of(plainly)
+    moment_filter(model, np.array([[3.0]]), series())
+    assert about_calls([model.transitions, model.observations]) == ""
