@@ -209,6 +209,8 @@ def _by_tape(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Arr
     strata = run.log_shares, whole, run.others
     found = y_mean, S, log_w, terms
     done = filter_strata_taped(*tapes.arguments, (m, P), strata, run.series.y, *found)
+    if not done and tapes.learn():
+        return _by_tape(run, *found)
     return tapes.hold(done, terms)
 
 

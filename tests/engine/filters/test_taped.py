@@ -338,6 +338,24 @@ def test_where_ways_part_each_row_takes_its_own(step, even, monkeypatch):
     assert_same(*both(model, np.array([[0.85], [0.95]]), series, monkeypatch))
 
 
+@pytest.mark.parametrize("step", [by_input, by_state, until_it_converges])
+def test_outliers_and_paths_learn_ways_as_well(step, monkeypatch):
+    model = level(lambda *given: (step(*given), np.zeros((1, 0)), [[0.01]]))
+    extended, series = with_mixture(model, "measurement", channels=["y"]), series_for(model, 2)
+    gone = []
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.filters.strata, "_step_by_step", lambda *_: gone.append(1))
+        patch.setattr(engine.filters.sigma_point, "_kept_by_calls", lambda *_: gone.append(1))
+        taped = moment_filter(extended, thetas_of(extended, 4), series)
+        path = moment_path(model, thetas_of(model, 4)[0], series)
+    assert not gone
+    monkeypatch.setattr(engine.filters.strata, "tapes_of", lambda *_: None)
+    assert_same(taped, moment_filter(extended, thetas_of(extended, 4), series))
+    monkeypatch.setattr(engine.filters.sigma_point, "filter_by_tape", lambda *_: None)
+    called = moment_path(model, thetas_of(model, 4)[0], replace(series))  # none is kept of it
+    np.testing.assert_allclose(path.filtered, called.filtered, rtol=1e-8, atol=1e-8)
+
+
 def test_a_way_that_only_one_record_takes_is_learned_there(monkeypatch):
     """The pass begins anew, and the next record finds it."""
     model = level(lambda *given: (by_input(*given), np.zeros((1, 0)), [[0.01]]))
