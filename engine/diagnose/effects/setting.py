@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from scipy.special import ndtri
 
 from engine.data.clock import rounding_of
 from engine.data.joined import anew
+from engine.diagnose.effects.identifiers import Identifiers
 from engine.diagnose.effects.rates import (
     Points,
     Rate,
@@ -318,29 +317,11 @@ class Setting:
 
     def identifier(self, *parts: str) -> str:
         """A parameter name from an effect's kind and channel: another one for each channel."""
-        return _spelled("_".join(map(self._apart, parts)))
-
-    def _apart(self, part: str) -> str:
-        """A channel, or those that an arrow or a comma joins, with numbers where names are spelled alike."""
-        known = self._numbered
-        if part in known:
-            return known[part]
-        return "".join(known.get(word, word) for word in re.split("(->|,)", part))
+        return self._identifiers.of(*parts)
 
     @cached_property
-    def _numbered(self) -> dict[str, str]:
-        """Channels spelled as another one before them, as "T_1" is after "T 1", with a number behind."""
-        out: dict[str, str] = {}
-        names = dict.fromkeys([*self.states, *self.model.inputs, *self.model.outputs])
-        taken = set(map(_spelled, names))
-        seen: set[str] = set()
-        for name in names:
-            if _spelled(name) in seen:
-                free = (f"{name}_{k}" for k in count(2))
-                out[name] = next(word for word in free if _spelled(word) not in taken)
-                taken.add(_spelled(out[name]))
-            seen.add(_spelled(name))
-        return out
+    def _identifiers(self) -> Identifiers:
+        return Identifiers([*self.states, *self.model.inputs, *self.model.outputs])
 
     @property
     def states(self) -> dict[str, str]:
@@ -470,8 +451,3 @@ class Setting:
             for i, name in enumerate(self.states)
             if by_inputs[i].any() or np.delete(feeds[i], i).any()
         )
-
-
-def _spelled(name: str) -> str:
-    """The name with nothing but letters, digits and underscores."""
-    return "".join(c if c.isalnum() else "_" for c in name)
