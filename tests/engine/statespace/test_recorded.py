@@ -735,6 +735,18 @@ def tables(a, u, t, dt, th):
     )
 
 
+def imports(a, u, t, dt, th):
+    import math as m
+
+    import numpy as own
+    import scipy.linalg
+    from scipy.linalg import expm
+
+    A = expm(own.array([[0.0, 1.0], [-(th.w**2), -0.3]]) * dt)
+    B = scipy.linalg.solve_discrete_lyapunov(A, own.diag([m.exp(th.q), 1e-4]))
+    return [own.maximum(a[:, 0], th.k) + A[0, 1] * u[1], B[0, 0] * m.sin(t)], A[:, 1:], Q
+
+
 RATES = {"lift": helper}
 
 
@@ -742,6 +754,7 @@ RATES = {"lift": helper}
     "written",
     [
         masks,
+        imports,
         opened,
         silent,
         decided,
