@@ -28,6 +28,7 @@ from engine.diagnose.refits.starts import (
     places,
     probed_apart,
 )
+from engine.diagnose.refits.stopped import off_the_bound
 from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.screening.tails import fit_tails, tails_information
@@ -96,6 +97,8 @@ def refit(
         again = climb(other, target=at_least, hope=HOPE)
         found = max(found, again, key=lambda one: one.log_likelihood)
     found = _at_next_probes(effect, found, climb, target, n)
+    if found.log_likelihood > target:
+        found = off_the_bound(fit, found, effect, series, climb)
     best_elsewhere = [
         best_start(extended, series, np.array(side), null, n, None, visited)[0]
         for side in by_side(effect, elsewhere)

@@ -32,6 +32,7 @@ from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.estimation.start import WarmStart
+from engine.estimation.tied_edges import off_tied_edges
 from engine.estimation.vanished import revived
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 from engine.ties import flat_directions, ties_in_words
@@ -288,6 +289,7 @@ def fit_base(
         progress(begun + (1.0 - begun) * share_done(k))
 
     fit = revived(quasi_ml(model, series, start, free, callback=tell), [series])
+    fit = off_tied_edges(fit, series, model.theta(theta))
     return replace(fit, rivals=tuple(tuple(map(float, other)) for other in others))
 
 
