@@ -295,7 +295,7 @@ def followed(
 def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list[Score]:
     """The best named effects, those asked for, outliers where they are likely, the best unnamed forces."""
     named = [s for s in seen.scores if not s.effect.traits.unnamed and s.statistic > 0.0]
-    worth = {s.effect.name: s.statistic - cost(s.effect, series) for s in named}
+    worth = {s.effect.name: s.statistic - cost(_as_refitted(s), series) for s in named}
     named.sort(key=lambda s: -worth[s.effect.name])
     best = worth[named[0].effect.name] if named else 0.0
     most = REFITS if best <= series.observed.sum() else MORE_REFITS
@@ -307,6 +307,16 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     if any(s.p_value < TAILS_ALARM for s in tails):  # which noise it is, their test cannot tell
         chosen += [s for s in tails if s not in chosen]
     return chosen + [s for s in seen.scores if s.effect.traits.unnamed and s.statistic > 0.0][:2]
+
+
+def _as_refitted(score: Score) -> Effect:
+    """The effect of a score, its zero estimated where the screen saw it best from elsewhere.
+
+    From far away all that is in proportion to something is a constant. Were that zero free of cost, there would
+    be more such effects ahead of the constant itself than are refitted.
+    """
+    effect = score.effect
+    return effect.with_free_zero() if effect.from_elsewhere(score.at) else effect
 
 
 def _with_ties(values: Sequence[float], n: int) -> int:

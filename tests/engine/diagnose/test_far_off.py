@@ -57,13 +57,15 @@ def worth(tails, asked=()):
     kinds = ["drag", "cubic", "quadratic", "coulomb", "deadzone", "saturation"]
     names = [f"{kind}:{place}" for kind in kinds for place in ("speed", "speed->load")]
     scores = [
-        SimpleNamespace(effect=make_effect(name, setting), statistic=200.0 - i, p_value=1e-9)
-        for i, name in enumerate(names)
+        SimpleNamespace(effect=effect, statistic=200.0 - i, p_value=1e-9, at=effect.probes[0])
+        for i, effect in enumerate(make_effect(name, setting) for name in names)
     ]
     little = [("bias:reading", 30.0, 1e-6), ("gain:reading", 20.0, 1e-5)]
     for name, statistic, p in (*little, ("heavy-tails:reading", 15.0, tails)):
         effect = make_effect(name, setting)
-        scores.append(SimpleNamespace(effect=effect, statistic=statistic, p_value=p))
+        scores.append(
+            SimpleNamespace(effect=effect, statistic=statistic, p_value=p, at=effect.probes[0])
+        )
     seen = SimpleNamespace(scores=scores)
     chosen = _worth_refitting(seen, engine.Series(np.zeros(300), dt=DT), asked)
     return [s.effect.name for s in chosen], names
