@@ -293,7 +293,9 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     T, nx, na = len(series), model.nx, model.na
     x_p, x_f = np.empty((T, nx)), np.empty((T, nx))
     S_p, S_f = np.empty((T, nx, nx)), np.empty((T, nx, nx))  # roots of covariances
+    # in units of S_f the root of what x_{t+1} leaves of x_t, and what it tells; in those of S_p the same of y_t
     left, V = np.empty((T - 1, nx, nx)), np.empty((T - 1, nx, nx))
+    U, by_y = np.tile(np.eye(nx), (T, 1, 1)), np.zeros((T, nx))
     log_likelihood = 0.0
     x, P = linear_start(model, record)
     P = possible_noise(model, "initial: the covariance of x_1", P, float(series.t[0]))
@@ -311,9 +313,10 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
         R = possible_noise(model, READING, R, time)
         if there.any():
             H, R = H[there], R[np.ix_(there, there)]
-            root, gain, S = _joint(H @ S, _root(R), S)
+            root, gain, U[t] = _joint(H @ S, _root(R))
             v = solve_triangular(root, series.y[t, there] - h[there] - H @ x, lower=True)
-            x = x + gain @ v
+            by_y[t] = gain @ v
+            x, S = x + S @ by_y[t], S @ U[t]
             log_likelihood -= 0.5 * float(len(v) * LOG_2PI + v @ v)
             log_likelihood -= float(np.log(np.abs(np.diagonal(root))).sum())
         x_f[t], S_f[t] = x, S
@@ -323,30 +326,31 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
             f, F, Q = transition_matrices(model, record, series.u_step[t], time, dt, points, far)
             Q = possible_noise(model, STEP, Q, time)
             x = f + F @ x
-            S, V[t], left[t] = _joint(F @ S, _root(Q), S)
+            S, V[t], left[t] = _joint(F @ S, _root(Q))
     x_s, P_s, M = x_f.copy(), squared(S_f), np.empty((T - 1, nx, nx))
-    unit = _sd(S_p[1:])
-    unit = np.where(unit > 0.0, unit, 1.0)
-    G = V @ np.linalg.pinv(S_p[1:] / unit[:, :, None], rcond=SINGULAR) / unit[:, None, :]
-    # what x_{t+1} leaves of x_t; where its root is singular, some of V, too
-    left = squared(left) + squared(V - G @ S_p[1:])
+    # d and D are the moments of xi, x_t = x_p + S_p xi: a gain on x_{t+1} itself would divide by S_p, which
+    # ends next to singular where noise does not renew what decays
+    d, D = by_y[-1], U[-1] @ U[-1].T
     for t in range(T - 2, -1, -1):
-        x_s[t] = x_f[t] + G[t] @ (x_s[t + 1] - x_p[t + 1])
-        M[t] = G[t] @ P_s[t + 1]
-        P_s[t] = left[t] + M[t] @ G[t].T
+        d, VD = V[t] @ d, V[t] @ D
+        cov = VD @ V[t].T + left[t] @ left[t].T
+        x_s[t] += S_f[t] @ d
+        M[t] = S_f[t] @ VD @ S_p[t + 1].T
+        P_s[t] = S_f[t] @ cov @ S_f[t].T
+        d, D = by_y[t] + U[t] @ d, U[t] @ cov @ U[t].T
     P_f, P_p = squared(S_f), squared(S_p)
     return KalmanSmoothed(model, theta, x_s, P_s, M, x_f, P_f, x_p, P_p, log_likelihood)
 
 
-def _joint(AS: Array, noise: Array, S: Array) -> tuple[Array, Array, Array]:
-    """From A S (n, nx), a root of the noise (n, n) and a root S (nx, nx) of Cov(x), with y = A x + noise:
+def _joint(AS: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """From A S (n, nx) and a root of the noise (n, n), with x = S xi, xi ~ N(0, I), and y = A x + noise:
 
-    the root L (n, n) of Cov(y), V (nx, n) with V L' = Cov(x, y), and the root (nx, nx) of Cov(x | y). Nothing
+    the root L (n, n) of Cov(y), V (nx, n) with V L' = Cov(xi, y), and the root (nx, nx) of Cov(xi | y). Nothing
     is subtracted, so that a diffuse P_1 does not drown what the readings tell.
     """
     n, nx = AS.shape
     X = np.zeros((n + nx, nx + n))
-    X[:n, :nx], X[:n, nx:], X[n:, :nx] = AS, noise, S
+    X[:n, :nx], X[:n, nx:], X[n:, :nx] = AS, noise, np.eye(nx)
     L = np.asarray(np.linalg.qr(X.T, mode="r"), dtype=float).T
     return L[:n, :n], L[n:, :n], L[n:, n:]
 

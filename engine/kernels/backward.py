@@ -117,28 +117,67 @@ def backward_gain(L, V, K):
 
 
 @njit(cache=True, error_model="numpy")
-def smooth_covariance(K, Z_plus, P_next, na, P_out, M_out):
+def units_of(Z, X, out):
+    """Out (n, m) with Z out = X for a lower root Z (n, n) and X (n, m); zero in directions without noise."""
+    n, m = X.shape
+    for i in range(n):
+        for c in range(m):
+            s = X[i, c]
+            for k in range(i):
+                s -= Z[i, k] * out[k, c]
+            out[i, c] = s / Z[i, i] if Z[i, i] > 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def smooth_covariance(Z, L, V, Z_plus, Z_next, D_next, na, work, P_out, M_out, D_out):
     """P_{t|T} and M_{t|T}; paper, eqs. (33b)-(33c). Here Approximation 2 is made.
 
-    (Report (61c) is misprinted.) Z_plus (nz, nz) is the root of P+, K_z = P+ W^z the columns of K (nz, nx)
-    for z_{t+1}.
+    (Report (61c) is misprinted.) Z, Z_plus (nz, nz) are the roots of P_{t|t} and P+; L (nx, nx) and V (nz, nx)
+    are of the prediction, see ``backward_gain``. Of z_{t+1} the root Z_next (nz, nz) of what its own filter
+    knew, and D_next (nz, nz) with P_{t+1|T} = Z_next D_next Z_next'; D_out is the same of z_t. A gain on
+    z_{t+1} itself divides by L, which noise that does not renew what decays leaves next to singular: taken
+    times P_{t+1|T} from both sides, rounding would be blown up twice. ``work`` (5, nz, nz) is scratch.
     """
-    nz = Z_plus.shape[0]
+    nz = Z.shape[0]
+    seen, own, rest, half, X = work
+    units_of(L[na:, na:], Z_next, seen)  # z_{t+1}, in units of the prediction
     for r in range(nz):
         for c in range(nz):
             s = 0.0
             for k in range(nz):
-                s += K[r, na + k] * P_next[k, c]
-            M_out[r, c] = s
+                s += V[r, na + k] * seen[k, c]
+            X[r, c] = s
+    units_of(Z, X, own)
+    units_of(Z, Z_plus, rest)
+    _sum_of_squares(X, D_next, Z_plus, half, P_out)
     for r in range(nz):
+        for c in range(nz):
+            s = 0.0
+            for k in range(c + 1):
+                s += half[r, k] * Z_next[c, k]
+            M_out[r, c] = s
+    _sum_of_squares(own, D_next, rest, half, D_out)
+
+
+@njit(cache=True, error_model="numpy")
+def _sum_of_squares(X, D, S, half, out):
+    """Out (n, n) = X D X' + S S' with half = X D and a lower triangular S."""
+    n = X.shape[0]
+    for r in range(n):
+        for c in range(n):
+            s = 0.0
+            for k in range(n):
+                s += X[r, k] * D[k, c]
+            half[r, c] = s
+    for r in range(n):
         for c in range(r + 1):
             s = 0.0
             for k in range(c + 1):
-                s += Z_plus[r, k] * Z_plus[c, k]
-            for k in range(nz):
-                s += M_out[r, k] * K[c, na + k]
-            P_out[r, c] = s
-            P_out[c, r] = s
+                s += S[r, k] * S[c, k]
+            for k in range(n):
+                s += half[r, k] * X[c, k]
+            out[r, c] = s
+            out[c, r] = s
 
 
 @njit(cache=True, error_model="numpy")
@@ -231,7 +270,12 @@ def backward_simulation(a, z, Z, log_w, mu, L, V, Z_plus, ancestors, first, unif
     z_draw = np.empty((T, N, nz))
     index[T - 1] = first
     LP = np.empty((B, nz, nz))
+    D = np.zeros((B, nz, nz))
+    D_next = np.empty((nz, nz))
+    work = np.empty((5, nz, nz))
     for b in range(B):
+        for k in range(nz):
+            D[b, k, k] = 1.0
         LP[b] = Z[T - 1, 0 if Z.shape[1] == 1 else first[b]]
         P_s[T - 1, b] = LP[b] @ LP[b].T
     for j in range(N):
@@ -263,7 +307,20 @@ def backward_simulation(a, z, Z, log_w, mu, L, V, Z_plus, ancestors, first, unif
                 constants[i] = log_normalizer(L[t, i], nx)
         if common:
             backward_gain(L[t, 0], V[t, 0], K)
-            smooth_covariance(K, Z_plus[t, 0], P_s[t + 1, 0], na, P_s[t, 0], M_s[t, 0])
+            D_next[:] = D[0]
+            smooth_covariance(
+                Z[t, 0],
+                L[t, 0],
+                V[t, 0],
+                Z_plus[t, 0],
+                Z[t + 1, 0],
+                D_next,
+                na,
+                work,
+                P_s[t, 0],
+                M_s[t, 0],
+                D[0],
+            )
             if joint:
                 LP[0] = Z_plus[t, 0]
             else:
@@ -291,7 +348,21 @@ def backward_simulation(a, z, Z, log_w, mu, L, V, Z_plus, ancestors, first, unif
                 b = j
                 own = 0 if BL == 1 else i
                 backward_gain(L[t, own], V[t, own], K)
-                smooth_covariance(K, Z_plus[t, own], P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
+                here, there = (0, 0) if Z.shape[1] == 1 else (i, after)
+                D_next[:] = D[j]
+                smooth_covariance(
+                    Z[t, here],
+                    L[t, own],
+                    V[t, own],
+                    Z_plus[t, own],
+                    Z[t + 1, there],
+                    D_next,
+                    na,
+                    work,
+                    P_s[t, j],
+                    M_s[t, j],
+                    D[j],
+                )
                 if joint:
                     LP[j] = Z_plus[t, own]
                 else:

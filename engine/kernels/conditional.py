@@ -1,7 +1,12 @@
-"""Exact smoothing of z given whole trajectories of a: a Kalman filter and RTS pass for each.
+"""Exact smoothing of z given whole trajectories of a: a Kalman filter and a pass back for each.
 
 Given a_{1:T}, model (1) is linear Gaussian in z, with a_{t+1} as a further measurement of z_t. The
-same atoms as in the particle filter and the backward pass, with each trajectory its own ancestor.
+same atoms as in the particle filter, with each trajectory its own ancestor.
+
+The pass back is that of Rauch, Tung and Striebel in units of what the filter knew: with z_t = z_{t|t-1} +
+Z xi and Z Z' = P_{t|t-1}, the moments of xi follow from those of the next one by matrices of norm 1 at most.
+A gain on z_{t+1} itself would divide by Z. Where noise does not renew what decays, Z ends next to singular, and
+rounding would be blown up, to variances below zero.
 """
 
 from __future__ import annotations
@@ -9,8 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from engine.kernels.backward import backward_gain, smooth_covariance
-from engine.kernels.filtering import condition, predict, update
+from engine.kernels.filtering import predict, update
 from engine.kernels.gaussian import psd_cholesky_many
 
 
@@ -23,44 +27,147 @@ def smooth_along(a, f, A, Q, h, C, R, z1, P1, y):
     """
     T, N, na = a.shape
     nz = z1.shape[1]
-    nx = na + nz
     # B' = 1 only where every matrix is common to all trajectories
     B = max(A.shape[1], Q.shape[1], C.shape[1], R.shape[1], P1.shape[0])
-    z_f = np.empty((T, N, nz))
-    mu = np.empty((T - 1, N, nx))
-    L = np.empty((T - 1, B, nx, nx))
-    V = np.empty((T - 1, B, nz, nx))
-    Z_plus = np.empty((T - 1, B, nz, nz))
-    own = np.arange(N)
-    z, Z = z1, psd_cholesky_many(P1)
-    for t in range(T):
-        z, Z, _ = update(z, Z, h[t], C[t], R[t], y[t])
-        z_f[t] = z
-        if t < T - 1:
-            m, factor, cross, after = predict(f[t], A[t], Q[t], z, Z)
-            mu[t] = m
-            for b in range(B):
-                k = b if factor.shape[0] > 1 else 0
-                L[t, b], V[t, b], Z_plus[t, b] = factor[k], cross[k], after[k]
-            z, Z, _ = condition(m, factor, own, a[t + 1])
     z_s = np.empty((T, N, nz))
+    before = np.empty((T, B, nz, nz))  # roots of P_{t|t-1}, ...
+    after = np.empty((T, B, nz, nz))  # ... of P_{t|t}, ...
+    of_y = np.empty((T, B, nz, nz))  # ... and, in units of the former, of the latter
+    of_next = np.empty((T - 1, B, nz, nz))  # in units of P_{t|t}: what z_{t+1} tells of z_t, ...
+    left = np.empty((T - 1, B, nz, nz))  # ... and the root of what x_{t+1} leaves
+    by_y = np.empty((T, N, nz))  # means of xi, by y_t ...
+    by_a = np.empty((T - 1, N, nz))  # ... and, in units of P_{t|t}, by a_{t+1}
+    nothing, unit = np.zeros((N, nz)), np.zeros((1, nz, nz))
+    for k in range(nz):
+        unit[0, k, k] = 1.0
+    z, Z = z1, psd_cholesky_many(P1)
+    e = np.empty(na)
+    for t in range(T):
+        _every(Z, before[t])
+        by_y[t], U, _ = update(nothing, unit, _moved(h[t], C[t], z), _times(C[t], Z), R[t], y[t])
+        z, Z = _moved(z, Z, by_y[t]), _times(Z, U)
+        z_s[t] = z
+        _every(Z, after[t])
+        _every(U, of_y[t])
+        if t == T - 1:
+            break
+        m, L, V, rest = predict(_moved(f[t], A[t], z), _times(A[t], Z), Q[t], nothing, unit)
+        z, Z = np.empty((N, nz)), L[:, na:, na:].copy()
+        for j in range(N):
+            b = j if L.shape[0] > 1 else 0
+            for k in range(na):
+                s = a[t + 1, j, k] - m[j, k]
+                for c in range(k):
+                    s -= L[b, k, c] * e[c]
+                e[k] = s / L[b, k, k] if L[b, k, k] > 0.0 else 0.0
+            for k in range(nz):
+                s, own = m[j, na + k], 0.0
+                for c in range(na):
+                    s += L[b, na + k, c] * e[c]
+                    own += V[b, k, c] * e[c]
+                z[j, k], by_a[t, j, k] = s, own
+        _every(V[:, :, na:], of_next[t])
+        _every(rest, left[t])
     P_s = np.empty((T, B, nz, nz))
     M_s = np.empty((T - 1, B, nz, nz))
-    z_s[T - 1] = z_f[T - 1]
+    D = np.empty((B, nz, nz))  # Cov(xi_t | y_{1:T})
+    cov = np.empty((nz, nz))
+    half = np.empty((nz, nz))
     for b in range(B):
-        last = Z[b if Z.shape[0] > 1 else 0]
-        P_s[T - 1, b] = last @ last.T
-    K = np.empty((nz, nx))
+        _sandwiched(of_y[T - 1, b], unit[0], half, D[b])
+        _sandwiched(after[T - 1, b], unit[0], half, P_s[T - 1, b])
+    d = by_y[T - 1].copy()  # E(xi_t | y_{1:T})
+    x = np.empty(nz)
     for t in range(T - 2, -1, -1):
-        for j in range(N):
-            if j < B:
-                backward_gain(L[t, j], V[t, j], K)
-                smooth_covariance(K, Z_plus[t, j], P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
-            for k in range(nz):
-                s = z_f[t, j, k]
-                for c in range(na):
-                    s += K[k, c] * (a[t + 1, j, c] - mu[t, j, c])
+        for b in range(B):
+            F, S = of_next[t, b], left[t, b]
+            _sandwiched(F, D[b], half, cov)
+            for r in range(nz):
                 for c in range(nz):
-                    s += K[k, na + c] * (z_s[t + 1, j, c] - mu[t, j, na + c])
-                z_s[t, j, k] = s
+                    s = 0.0
+                    for k in range(nz):
+                        s += half[r, k] * before[t + 1, b, c, k]
+                    M_s[t, b, r, c] = s  # in units of P_{t|t} as yet
+                    s = 0.0
+                    for k in range(min(r, c) + 1):
+                        s += S[r, k] * S[c, k]
+                    cov[r, c] += s
+            for c in range(nz):
+                for r in range(nz - 1, -1, -1):
+                    s = 0.0
+                    for k in range(r + 1):
+                        s += after[t, b, r, k] * M_s[t, b, k, c]
+                    M_s[t, b, r, c] = s
+            _sandwiched(after[t, b], cov, half, P_s[t, b])
+            _sandwiched(of_y[t, b], cov, half, D[b])
+        for j in range(N):
+            b = j if B > 1 else 0
+            for k in range(nz):
+                s = by_a[t, j, k]
+                for c in range(nz):
+                    s += of_next[t, b, k, c] * d[j, c]
+                x[k] = s
+            for k in range(nz):
+                s, own = z_s[t, j, k], by_y[t, j, k]
+                for c in range(k + 1):
+                    s += after[t, b, k, c] * x[c]
+                    own += of_y[t, b, k, c] * x[c]
+                z_s[t, j, k], d[j, k] = s, own
     return z_s, P_s, M_s
+
+
+@njit(cache=True, error_model="numpy")
+def _every(matrix, out):
+    """Out (B', n, n) = matrix (B, n, n), which may be common to all."""
+    for b in range(out.shape[0]):
+        out[b] = matrix[b if matrix.shape[0] > 1 else 0]
+
+
+@njit(cache=True, error_model="numpy")
+def _moved(value, matrix, z):
+    """value + matrix z for rows: value (N, n), matrix (B, n, nz), z (N, nz)."""
+    out = value.copy()
+    for j in range(value.shape[0]):
+        b = j if matrix.shape[0] > 1 else 0
+        for r in range(value.shape[1]):
+            s = out[j, r]
+            for k in range(z.shape[1]):
+                s += matrix[b, r, k] * z[j, k]
+            out[j, r] = s
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _times(matrix, root):
+    """matrix root (B, n, nz) of matrix (B, n, nz) and lower triangular root (B, nz, nz)."""
+    n, nz = matrix.shape[1], matrix.shape[2]
+    B = max(matrix.shape[0], root.shape[0])
+    out = np.empty((B, n, nz))
+    for b in range(B):
+        m = matrix[b if matrix.shape[0] > 1 else 0]
+        Z = root[b if root.shape[0] > 1 else 0]
+        for r in range(n):
+            for c in range(nz):
+                s = 0.0
+                for k in range(c, nz):
+                    s += m[r, k] * Z[k, c]
+                out[b, r, c] = s
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _sandwiched(F, D, half, out):
+    """Out (n, n) = F D F', symmetric to the last bit, with half = F D."""
+    n = F.shape[0]
+    for r in range(n):
+        for c in range(n):
+            s = 0.0
+            for k in range(n):
+                s += F[r, k] * D[k, c]
+            half[r, c] = s
+        for c in range(r + 1):
+            s = 0.0
+            for k in range(n):
+                s += half[r, k] * F[c, k]
+            out[r, c] = s
+            out[c, r] = s
