@@ -11,6 +11,7 @@ from engine.kernels.backward import (
     particle_log_weights,
     reduce,
     rule_out,
+    smooth_covariance,
     without_noise,
 )
 from engine.kernels.gaussian import log_normalizer
@@ -56,3 +57,19 @@ def gains(L, V):
     for b in range(V.shape[0]):
         backward_gain(L[b], V[b], out[b])
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def smooth_covariances(Z, L, V, Z_plus, Z_next, D):
+    """P_{t|T} and M_{t|T} (B, nz, nz), report, eqs. (68b)-(68c), and D (B, nz, nz) of z_t.
+
+    D of z_{t+1}, likewise: P_{t+1|T} = Z_next D Z_next'; see :func:`engine.kernels.backward.smooth_covariance`.
+    """
+    B, nz = D.shape[0], D.shape[1]
+    P, M, before = np.empty_like(D), np.empty_like(D), np.empty_like(D)
+    work = np.empty((5, nz, nz))
+    for b in range(B):
+        smooth_covariance(
+            Z[b], L[b], V[b], Z_plus[b], Z_next[b], D[b], 0, work, P[b], M[b], before[b]
+        )
+    return P, M, before

@@ -25,7 +25,7 @@ from engine.kernels import resampling as schemes
 from engine.kernels.categorical import pick_each
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import log_normal_common, psd_cholesky_many
-from engine.kernels.rts import gains, log_pairs
+from engine.kernels.rts import gains, log_pairs, smooth_covariances
 from engine.randomness import Rng, generator
 from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.checks import FIRST_Z, READING, STEP, possible_noise
@@ -240,6 +240,7 @@ def rb_ffbsi_special(
     a[-1], z[-1] = filtered.a[-1, index[-1]], filtered.z[-1, index[-1]]
     last = _of(filtered.root[-1], index[-1], common)
     P[-1] = squared(last)
+    D = np.tile(np.eye(nz), (B, 1, 1))
     draws[-1] = z[-1] + _times(last, noise[-1])
     for t in range(T - 2, -1, -1):
         dt = float(series.steps[t])
@@ -261,9 +262,9 @@ def rb_ffbsi_special(
         # Approximation 1: the moments of particle i, whose past need not be that of a~_{1:t}
         L, V, plus = (_of(m[t], i, common) for m in (filtered.L, filtered.V, filtered.root_plus))
         gain = gains(L, V)  # T_t, eq. (66c)
-        cross[t] = gain @ P[t + 1]  # eq. (68c)
-        # eq. (68b), here Approximation 2: P_{t|t} - T P_{t+1|t} T' is what x_{t+1} leaves of z_t
-        P[t] = squared(plus) + cross[t] @ np.swapaxes(gain, 1, 2)
+        # eqs. (68b)-(68c), here Approximation 2: P_{t|t} - T P_{t+1|t} T' is what x_{t+1} leaves of z_t
+        Z, Z_next = (_of(filtered.root[s], index[s], common) for s in (t, t + 1))
+        P[t], cross[t], D = smooth_covariances(Z, L, V, plus, Z_next, D)
         z_f, ahead = filtered.z[t, i], filtered.mu[t, i]
         z[t] = z_f + _times(gain, z[t + 1] - ahead)  # eq. (68a)
         if joint:

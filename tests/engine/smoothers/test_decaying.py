@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,24 @@ def test_moments_without_nonlinear_states_are_exact(q: float) -> None:
     assert np.abs((exact.M[:, 0] - lag) / sd[:-1, :, None] / sd[1:, None]).max() < 1e-5
     # Algorithm 3 divides by what is next to nothing once
     assert np.allclose(draws.std(), sd, rtol=0.05)
+
+
+def test_the_special_case() -> None:
+    linear = decaying(0, 0.0, 1.0)
+
+    def dynamics(a: Any, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        f, A, Q = linear.dynamics(a, u, t, dt, theta)
+        return [0.5 * a[:, 0], *f], [[0.0, 0.0], *A], np.diag([1.0, *np.diag(Q)])
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        return engine.Gaussian([0.0], [[1.0]]), *linear.initial(theta)[1:]
+
+    model = replace(linear, dynamics=dynamics, initial=initial, nonlinear={"a": "1"})
+    y = np.random.default_rng(3).standard_normal(80).cumsum()
+    _, sd, _ = at_once(0, 0.0, 1.0, 0.0, y)
+    filtered = engine.rbpf_special(engine.gaussian_case(model), None, engine.Series(y), 20, 1)
+    smoothed = engine.rb_ffbsi_special(filtered, 20, 2)
+    assert np.allclose(np.sqrt(np.diagonal(smoothed.cov[:, 0], axis1=1, axis2=2)), sd, rtol=0.05)
 
 
 @pytest.mark.long
