@@ -47,6 +47,7 @@ RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
 }
 Resample: TypeAlias = Callable[[Array, Array, Array], NDArray[np.int64]]
 
+FIRST_DRAWS = 16  # of a first density that is no Gaussian, for each particle
 COLLAPSED = 1.5  # an effective sample size below this means that one particle is left
 
 
@@ -259,13 +260,19 @@ def rbpf(
     for t in range(T):
         # 1. Sampling, 2. Prediction, 3. Weighting, 4. Update of the linear states
         if t == 0:
-            step = Step(model, record, mu, L, own, y[0], u[0], times[0], rng)
+            many = np.arange(M * _draws_of_first(model, record, draw))
+            step = Step(model, record, mu, L, many, y[0], u[0], times[0], rng)
             a, z, Z, log_ratio = _first(step, draw)
             h, C, R = model.observation(a, u[0], times[0], record)
             C, R = stacked(C), stacked(possible_noise(model, READING, R, times[0]))
             if model.na:
                 check_readings(model, C, R, y)
-            z, Z, log_w, w, log_sum, ess = weigh(z, Z, log_ratio, h, C, R, y[0], even)
+            alike = np.full(len(many), -np.log(len(many)))
+            z, Z, log_w, w, log_sum, ess = weigh(z, Z, log_ratio, h, C, R, y[0], alike)
+            if len(many) > M:
+                kept = resample(w, rng.random(M), a)
+                a, z, Z = a[kept], z[kept], Z[kept] if len(Z) > 1 else Z
+                log_w, w, ess = even, np.exp(even), min(ess, float(M))
         else:
             a, log_q = draw(Step(model, record, mu, L, ancestors, y[t], u[t], times[t], rng))
             a = np.ascontiguousarray(a)
@@ -332,6 +339,15 @@ def check_options(n_particles: int, resampling: str, ess_threshold: float) -> Re
         return np.asarray(order[scheme(w[order], u)])
 
     return along
+
+
+def _draws_of_first(model: MixedModel, record: Any, draw: Proposal) -> int:
+    """How many draws of a_1 there are to choose a particle from by the first reading.
+
+    No proposal looks at it where the density is no Gaussian, and few draws of a wide one are near it.
+    """
+    blind = draw is bootstrap or isinstance(model.start(record).density, Gaussian)
+    return 1 if blind else FIRST_DRAWS
 
 
 def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
