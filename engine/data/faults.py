@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.arrays import Array
+from engine.data.gaps import inputs_over_gaps
 from engine.data.lattice import FEWEST_LEVELS, lattice_step
 from engine.data.repeats import repeated
 from engine.data.series import Series
@@ -39,6 +40,7 @@ def faults_of(
         notes += faults_of_readings(name, unit, y, series.u)
     for (name, unit), u in zip(inputs.items(), series.u.T, strict=True):
         notes += marks_among_inputs(name, unit, u)
+    notes += inputs_over_gaps(inputs, series)
     return (*notes, *identical(outputs, series))
 
 

@@ -17,6 +17,7 @@ from engine.data.faults import (
     single_outliers,
     without_marks,
 )
+from engine.data.gaps import inputs_over_gaps
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
 from engine.statespace.clock import about_clock
@@ -55,6 +56,7 @@ def check_data(model: MixedModel, series: Series, beside: int = 0) -> tuple[str,
             notes.append(
                 f"Input {name} is {with_unit(float(u[0]), unit)} throughout: what it drives is not excited."
             )
+    notes += inputs_over_gaps(model.inputs, series)
     return tuple(notes)
 
 
