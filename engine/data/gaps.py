@@ -27,23 +27,21 @@ def inputs_over_gaps(inputs: Mapping[str, str], series: Series) -> list[str]:
     ``inputs`` are the units of the columns of u by name. None for those that rest as long elsewhere, and where
     steps are of all lengths, as where somebody came to read a gauge.
     """
-    long, usual = gaps(series), series.usual_step
-    if not long.size or not inputs:
+    long = gaps(series)
+    if not long or not inputs:
         return []
-    worst = int(long[np.argmax(series.steps[long])])
-    length = float(series.steps[worst])
-    rows = max(1, round(length / usual))
-    moved = [k for k, u in enumerate(series.u.T) if _moves(u, rows)]
+    first = max(long, key=lambda row: float(series.t[row + series.substeps] - series.t[row]))
+    last, usual = first + series.substeps, series.usual_step * series.substeps
+    length = float(series.t[last] - series.t[first])
+    u = series.u[series.samples]
+    moved = [k for k, one in enumerate(u.T) if _moves(one, max(1, round(length / usual)))]
     if not moved:
         return []
     names, units = list(inputs), list(inputs.values())
-    begin = moment(float(series.t[worst]), usual, series.time_unit)
-    more = f" It is the longest of {long.size} gaps." if long.size > 1 else ""
+    begin = moment(float(series.t[first]), usual, series.time_unit)
+    more = f" It is the longest of {len(long)} gaps." if len(long) > 1 else ""
     taken = enumerated(
-        [
-            f"{names[k]} {_taken(series.hold, series.u[worst : worst + 2, k], units[k])}"
-            for k in moved
-        ]
+        [f"{names[k]} {_taken(series.hold, series.u[[first, last], k], units[k])}" for k in moved]
     )
     return [
         f"No rows for {number(length)} {series.time_unit} after t = {begin}, where a step is "
@@ -53,13 +51,14 @@ def inputs_over_gaps(inputs: Mapping[str, str], series: Series) -> list[str]:
     ]
 
 
-def gaps(series: Series) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Rows after which the next one is far off, of a record whose steps are else alike."""
-    if series.dt is not None:
-        return np.empty(0, dtype=np.intp)
-    steps, usual = series.steps, series.usual_step
-    even = (steps <= USUAL * usual).mean() >= EVEN
-    return np.flatnonzero((steps > LONG * usual) & even)
+def gaps(series: Series) -> list[int]:
+    """Rows of samples after which the next one is far off, of a record whose steps are else alike."""
+    rows = series.samples
+    made = np.isin(rows[1:], series.begins)
+    steps = np.diff(series.t[rows])
+    usual = float(np.median(steps[~made]))
+    even = (steps[~made] <= USUAL * usual).mean() >= EVEN
+    return [int(row) for row in rows[:-1][(steps > LONG * usual) & ~made & even]]
 
 
 def _moves(u: Array, rows: int) -> bool:

@@ -38,6 +38,7 @@ from engine.diagnose.gain.narrowing import (
 from engine.diagnose.judging.by_record import word_of_records
 from engine.diagnose.judging.contradictions import particle_word
 from engine.diagnose.judging.findings import Cause, Verdict
+from engine.diagnose.judging.in_gaps import in_gaps
 from engine.diagnose.judging.judgement import NAMES, has_tails
 from engine.diagnose.judging.moments_missed import (
     log_likelihood_of,
@@ -102,7 +103,7 @@ class HeldOut:
     ) -> Judged:
         """The causes of the criterion that decides, with what they gain where nothing was fitted."""
         judged = self._heeding_particles(self._judged(found, asked, progress))
-        judged = self._heeding_records(judged)
+        judged = self._heeding_gaps(self._heeding_records(judged))
         extended = judged.causes and judged.after is not judged.before
         if extended and judged.gain is None and not self.records.held_out:
             return replace(judged, notes=(*judged.notes, NOT_MEASURED))
@@ -150,6 +151,14 @@ class HeldOut:
         verdict = Verdict.UNKNOWN if word.refutes else judged.verdict
         notes = *judged.notes, word.sentence
         return replace(judged, verdict=verdict, notes=notes, by_record=word.short)
+
+    def _heeding_gaps(self, judged: Judged) -> Judged:
+        """The same without names that act only where the record has no rows."""
+        against = (*in_gaps(judged.causes, self.searched),)
+        if not against:
+            return judged
+        notes, why = (*against, *judged.notes), (*against, *judged.why)
+        return replace(judged, verdict=Verdict.UNKNOWN, notes=notes, why=why)
 
     def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
         search, free_run = found.search, asked.search

@@ -32,6 +32,7 @@ CLOCK = 3  # powers of time by which what an input says of errors changes
 FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
 LEVEL = 0.01  # of all inputs together: a name that is none is worse than one left out
 SHUFFLED = 999  # times errors of prediction are shuffled: is an input still switched at a level?
+FAR = 3.0  # medians, beyond which a change of an input is cut
 ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its unit makes it
 
 
@@ -113,7 +114,8 @@ def foretold(u: Array, errors: Array) -> float:
     errors[:OWN] = 0.0
     errors[rows] = _left(errors[rows], clock, *lags, _bent(u[rows]), clock * u[rows, None])
     least, p = 1e-9 * float(np.ptp(u)), 1.0
-    moved = [part for part in (news, change) if np.ptp(part) > least]  # else its past says it all
+    # else its past says it all
+    moved = [part for part in (news, change, *map(_within, (news, change))) if np.ptp(part) > least]
     for part in moved:
         for fading in FADING:
             products = errors * _after(part, fading)[:, None]
@@ -173,6 +175,13 @@ def _bent(u: Array) -> Array:
     ends = np.unique(np.quantile(u, np.arange(1, count) / count))
     inside = np.eye(len(ends) + 1)[np.searchsorted(ends, u, side="right")]
     return np.hstack([inside, inside * (u - u.mean())[:, None]])
+
+
+def _within(part: Array) -> Array:
+    """A part of an input (T,) with what is far from its usual size cut: a set point steps, and hides errors."""
+    moving = np.abs(part[part != 0.0])
+    most = FAR * float(np.median(moving)) if moving.size else 0.0
+    return np.clip(part, -most, most)
 
 
 def _after(part: Array, fading: float) -> Array:

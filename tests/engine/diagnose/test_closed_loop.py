@@ -267,3 +267,36 @@ def test_errors_foretell_an_input_in_any_unit(unit):
     errors = rng.standard_normal((400, 1))
     u = np.cumsum(rng.standard_normal(400)) + np.r_[0.0, 0.3 * errors[:-1, 0]]
     assert foretold(unit * u, errors) == pytest.approx(foretold(u, errors), rel=1e-6)
+
+
+def answered(seed: int, wide: float) -> tuple[np.ndarray, np.ndarray]:
+    """An input of a controller whose set point steps by ``wide`` errors of a reading, and these errors."""
+    rng = np.random.default_rng(seed)
+    n, keep, x, total = 300, 0.9, 0.0, 0.0
+    wanted = np.repeat(rng.uniform(0.0, wide, n // 30), 30)
+    errors, u = rng.standard_normal(n), np.zeros(n)
+    for t in range(n):
+        error = wanted[t] - x - errors[t]
+        total += 0.05 * error
+        u[t] = np.clip(2.0 * (error + total), 0.0, 2.0 * wide)
+        x = keep * x + (1.0 - keep) * u[t]
+    return u, errors[:, None]
+
+
+@pytest.mark.parametrize("wide", [20.0, 100.0, 1000.0])
+def test_a_set_point_that_steps_does_not_hide_the_controller(wide):
+    """Beside steps that are large, what it makes of errors is little of an input's power."""
+    found, given = 0, 0
+    for seed in range(20):
+        u, errors = answered(seed, wide)
+        _, others = answered(seed + 20, wide)
+        found += foretold(u, errors) < 0.005
+        given += foretold(u, others) < 0.005
+    assert found >= 18
+    assert given <= 1
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e9])
+def test_it_is_told_in_any_units(scale):
+    u, errors = answered(1, 100.0)
+    assert foretold(scale * u, errors) == pytest.approx(foretold(u, errors), rel=1e-6)
