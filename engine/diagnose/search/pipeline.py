@@ -141,7 +141,9 @@ def find_causes(  # noqa: PLR0913
         notes.append(other.note)
     kinds = effects if aside is None else aside.others
     holds = [h for e in all_effects(setting, kinds) for h in e.traits.says_hold]
-    told = "" if settled else read_wrongly(found, series, list(dict.fromkeys(holds)), look_later)
+    told = ""
+    if not settled and (kinds is None or holds):
+        told = read_wrongly(found, series, list(dict.fromkeys(holds)), look_later)
     notes.extend(filter(None, [told]))
     clock.progress("contradictions", 0.0)
     # only a controller may have been seen, or how the record is read

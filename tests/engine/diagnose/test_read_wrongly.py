@@ -47,7 +47,7 @@ def test_noise_is_no_name_where_the_record_read_otherwise_explains_more(rain):
 
 def test_it_is_where_noise_explains_more_or_nothing_is_gained_by_reading(rain):
     assert read_wrongly(searched(rain, 900.0), rain, HOLDS, nothing_more) == ""
-    assert read_wrongly(searched(rain, 40.0), rain, (), nothing_more) == ""
+    assert "rain one row earlier" in read_wrongly(searched(rain, 40.0), rain, (), nothing_more)
     assert read_wrongly(searched(rain, 40.0, "drag:store"), rain, HOLDS, nothing_more) == ""
     right = rain.replace(hold="past")
     assert read_wrongly(searched(right, 40.0), right, ("zoh", "foh"), nothing_more) == ""
