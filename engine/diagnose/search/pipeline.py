@@ -229,7 +229,11 @@ def _seen_by_a_controller(
     inputs = list(setting.model.inputs)
     if not any(of_own_row(effect, setting, inputs) for effect in leading):
         return None
-    inputs = answering(*_as_said(leading[0], found, series))
+    answer = {*answering(*_as_said(leading[0], found, series))}
+    # beside a path that undoes the controller nothing is left of the errors that it answers
+    if found.final is not found.base and not leading[0].traits.says_hold:
+        answer |= {*answering(found.base, series)}
+    inputs = [name for name in inputs if name in answer]
     if not any(of_own_row(effect, setting, inputs) for effect in leading):
         return None
     every = all_effects(setting, effects)

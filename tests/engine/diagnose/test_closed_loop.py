@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace as Of
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,10 @@ import engine
 from engine.diagnose.effects.catalogue import all_effects, extend
 from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.judging.feedback import answering, foretold, of_own_row, switched
+from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.refitted import Refit
+from engine.diagnose.refits.rounds import Round
+from engine.diagnose.search import pipeline
 from engine.estimation.quasi_ml import quasi_ml
 
 P = engine.Parameter
@@ -300,3 +306,24 @@ def test_a_set_point_that_steps_does_not_hide_the_controller(wide):
 def test_it_is_told_in_any_units(scale):
     u, errors = answered(1, 100.0)
     assert foretold(scale * u, errors) == pytest.approx(foretold(u, errors), rel=1e-6)
+
+
+def test_the_errors_without_a_path_that_undoes_the_controller_are_asked_too(monkeypatch):
+    """Beside it, and what else was found, nothing is left of the errors that a controller answers."""
+    series = record(3, closed=True)
+    setting = setting_for(TANK, series, TANK.theta())
+    direct = next(e for e in all_effects(setting) if e.name == "direct:heater->probe")
+    led = Refit(direct, None, 50.0, 50.0)
+    base, final = Of(name="base"), Of(name="final")
+    found = Search(base, final, (Round(None, (led,), None, (led,)),), False)
+    asked = []
+
+    def answering(fit, series):
+        asked.append(fit.name)
+        return ["heater"] if fit is base else []
+
+    monkeypatch.setattr(pipeline, "answering", answering)
+    aside = pipeline._seen_by_a_controller(found, series, setting, None)
+    assert asked == ["final", "base"]
+    assert "closed loop" in aside.note
+    assert direct.name not in aside.others
