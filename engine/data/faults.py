@@ -16,6 +16,7 @@ from engine.data.gaps import inputs_over_gaps
 from engine.data.lattice import FEWEST_LEVELS, lattice_step
 from engine.data.repeats import repeated
 from engine.data.series import Series
+from engine.data.stuck import stuck_at_times
 from engine.words import enumerated, moment, number, percent, with_unit
 
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations
@@ -82,7 +83,11 @@ def faults_of_readings(name: str, unit: str, y: Array, u: Array) -> list[str]:
         for said in _marks(unit, y)
     ]
     values = without_marks(y)
-    return [*marked, *(repeated(name, values) or _held(name, unit, values, u))]
+    if told := repeated(name, values):
+        return [*marked, *told]
+    held = _held(name, unit, values, u)
+    stuck = [] if any("stuck" in said for said in held) else stuck_at_times(name, values)
+    return [*marked, *held, *stuck]
 
 
 def marks_among_inputs(name: str, unit: str, u: Array) -> list[str]:

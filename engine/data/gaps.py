@@ -43,11 +43,12 @@ def inputs_over_gaps(inputs: Mapping[str, str], series: Series) -> list[str]:
     taken = enumerated(
         [f"{names[k]} {_taken(series.hold, series.u[[first, last], k], units[k])}" for k in moved]
     )
+    move = "it moves" if len(moved) == 1 else "they move"
     return [
         f"No rows for {number(length)} {series.time_unit} after t = {begin}, where a step is "
         f"{number(usual)} {series.time_unit}.{more} All that time {taken} in every run and fit, though "
-        "that moves as far in so long elsewhere. Give rows with what it was there and readings left empty, or "
-        "the parts before and after as records of their own."
+        f"elsewhere {move} in so long. Give rows with what it was there and readings left empty, or the parts "
+        "before and after as records of their own."
     ]
 
 
