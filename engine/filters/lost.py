@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,12 +10,13 @@ import numpy as np
 from engine.data.series import Series
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_filter
-from engine.statespace.model import MixedModel, Theta
+from engine.statespace.model import Array, MixedModel, Theta
 
 FAR_NATS = 20.0  # by which one theta is far less likely than another
 # Two log-likelihoods of the particle filter may differ by so much without meaning it, in standard deviations of
 # one, about sqrt(rows / effective sample size)
 SPREADS = 7.0
+FEW = 10  # different particles, or a quarter of all, below which their spread tells nothing
 
 
 def nats_apart(rows: int, ess: float) -> float:
@@ -41,6 +43,27 @@ def left_in_words(times: Sequence[float], ess: Sequence[float]) -> str:
     return (
         f"One particle was left at {rows}, first at t = {times[0]:g}. The log-likelihood may be far too low by "
         "that: see whether that of many more particles is the same."
+    )
+
+
+def few_in_words(a: Array, times: Sequence[float]) -> str:
+    """A sentence where few different particles are left of ``a`` (T, M, na) at the end, not at first; else "".
+
+    Without noise that moves them, particles that were resampled stay the same for good.
+    """
+    T, M, na = a.shape
+    few = min(FEW, M // 4)
+
+    def different(t: int) -> int:
+        return len(np.unique(a[t], axis=0))
+
+    if not na or not np.isfinite(a[-1]).all() or different(T - 1) >= few or different(0) < few:
+        return ""
+    first = bisect_left(range(T), True, key=lambda t: different(t) < few)
+    return (
+        f"Of {M} particles {different(T - 1)} differ in the nonlinear states at the end, and fewer than {few} "
+        f"from t = {times[first]:g} on, as no noise moves them apart. Standard deviations of states and the "
+        "log-likelihood rest on these few: take many more particles, or give these states a little noise."
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from engine.data.given import one_series
 from engine.data.series import Series
 from engine.errors import OptionError, check_count
-from engine.filters.lost import left_in_words, lost_in_words
+from engine.filters.lost import few_in_words, left_in_words, lost_in_words
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.filters.taped_particles import rows_by_tape
 from engine.kernels import resampling as schemes
@@ -129,12 +129,13 @@ class Filtered(Shown):
 
     @cached_property
     def note(self) -> str:
-        """What says that the particles lost the series, by the moment filter or their weights; else ""."""
+        """What says that particles lost the series, by the moment filter or their weights, or are few."""
         ess = float(np.mean(self.ess))
         lost = lost_in_words(self.model, self.theta, self.series, self.log_likelihood, ess)
         rows = self.collapsed
         left = left_in_words(self.series.t[rows].tolist(), self.ess[rows].tolist())
-        return " ".join(filter(None, (lost, left)))
+        few = few_in_words(self.a, self.series.t.tolist())
+        return " ".join(filter(None, (lost, left, few)))
 
     @property
     def collapsed(self) -> NDArray[np.intp]:
