@@ -24,6 +24,7 @@ from engine.diagnose.refits.checkpoint import NOTHING, Kept
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.likeness import as_foreseen
 from engine.diagnose.screening.noise_parameters import noise_left_to_states
+from engine.diagnose.search.begun_elsewhere import begun_elsewhere
 from engine.diagnose.search.between_samples import read_otherwise, read_with, read_wrongly
 from engine.diagnose.search.event_time import times_as_likely
 from engine.diagnose.search.search import LATER, search
@@ -144,6 +145,7 @@ def find_causes(  # noqa: PLR0913
     told = ""
     if not settled and (kinds is None or holds):
         told = read_wrongly(found, series, list(dict.fromkeys(holds)), look_later)
+    told = told or begun_elsewhere(found, series)
     notes.extend(filter(None, [told]))
     clock.progress("contradictions", 0.0)
     # only a controller may have been seen, or how the record is read
