@@ -13,6 +13,7 @@ from engine.data.lattice import lattice_step
 from engine.data.repeats import MOVE
 
 SHORTEST = 3  # rows on end with one value, that two readings next to each other may have by chance
+LONGEST = 19  # rows: a longer rest may be that of the inputs, which is looked at elsewhere
 FEWEST_REPEATS = 3  # in all such runs
 LEAST_JUMP = 0.25  # of a usual move, next to such runs
 CHANCE = 1e-3
@@ -37,7 +38,7 @@ def stuck_at_times(name: str, y: Array) -> list[str]:
     starts = np.concatenate([[0], edges])
     lengths = np.diff(np.concatenate([starts, [len(y)]]))
     resting = np.isin(y[starts], (np.nanmin(y), np.nanmax(y), 0.0))
-    runs = np.flatnonzero((lengths >= SHORTEST) & ~resting)
+    runs = np.flatnonzero((lengths >= SHORTEST) & (lengths <= LONGEST) & ~resting)
     rows = int(lengths[runs].sum())
     if rows - len(runs) < FEWEST_REPEATS or rows > MOST * len(y):
         return []
