@@ -66,6 +66,8 @@ def solved_ivp(fun: Any, t_span: Any, y0: Any, method: Any = "RK45", **options: 
 
 
 def _flat(y: Any) -> Any:
+    """A vector of numbers, of one where only one is given."""
+    y = [y] if np.ndim(boxed(y)) == 0 else y
     each = np.empty(len(y), dtype=object)
     for i, one in enumerate(y):
         each[i] = one.item() if isinstance(one, np.ndarray) else one

@@ -55,6 +55,22 @@ def at_times(a, u, t, dt, theta):
     return np.array(out)
 
 
+def one_number(a, u, t, dt, theta):
+    """Of one state, whose slope is a number; its rows, ends and times are read in other ways."""
+    out = []
+    for x, v in a:
+        first = solve_ivp(lambda t, x: -theta.k * x[0] ** 3 + u[0], (0.0, dt), [x])
+        both = solve_ivp(lambda t, x: (x[1], -theta.k * x[0]), (t, t + dt), (x, v), rtol=1e-5)
+        position, speed = both.y
+        out.append(
+            [
+                first.y[0, -1] * first.t[-1] / dt,
+                0.3 * np.tanh(position[-1] * speed[0]) + 0.1 * both.y[1][-1],
+            ]
+        )
+    return np.array(out)
+
+
 def implicitly(a, u, t, dt, theta):
     return np.array(
         [
@@ -86,7 +102,7 @@ def series():
     return Series(y, rng.standard_normal((T, 1)), t=t)
 
 
-@pytest.mark.parametrize("step", [plainly, in_its_own_way, at_times])
+@pytest.mark.parametrize("step", [plainly, in_its_own_way, at_times, one_number])
 def test_each_row_is_what_it_is_alone(step):
     model, rng = model_of(step), np.random.default_rng(1)
     a = rng.normal(0.0, 2.0, (40, 2))  # some need steps that are taken again
@@ -98,7 +114,7 @@ def test_each_row_is_what_it_is_alone(step):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("step", [plainly, in_its_own_way])
+@pytest.mark.parametrize("step", [plainly, in_its_own_way, one_number])
 def test_filters_stay_on_tape(step, monkeypatch):
     model, thetas = model_of(step), np.array([[3.0], [3.3], [2.0]])
     taped = run_on_tape(FilterSteps(model, Thetas(model, thetas), series()))
