@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from engine.data.series import Series
-from engine.data.shared_rows import shared_rows
 from engine.errors import ModelError, SeriesError
 
 if TYPE_CHECKING:
@@ -87,10 +86,7 @@ def same_clock(all_series: Sequence[Series]) -> None:
 
 
 def check_apart(records: Sequence[Series], tests: Sequence[Series] = ()) -> None:
-    """Raise SeriesError where one is another once more, or has much of it: it would count twice.
-
-    And a test would be none.
-    """
+    """Raise SeriesError where one is another once more: it would count twice, or a test would be none."""
     every, n = [*records, *tests], len(records)
     seen: dict[tuple[object, ...], int] = {}
     for j, one in enumerate(every):
@@ -103,20 +99,6 @@ def check_apart(records: Sequence[Series], tests: Sequence[Series] = ()) -> None
         raise SeriesError(
             f"test is record {k}, which the model is fitted to: give data that it has not seen, or none"
         )
-    shared = shared_rows(every)
-    if shared is None:
-        return
-    k, j, rows = shared.earlier, shared.later, f"rows {shared.first} to {shared.last}"
-    if j < n or k >= n:
-        what, first = ("records", 0) if j < n else ("tests", n)
-        raise SeriesError(
-            f"{what} {k - first} and {j - first} have rows in common, {rows} of the second, counted from 0: "
-            "they would count twice, give each once"
-        )
-    raise SeriesError(
-        f"{rows} of the test, counted from 0, are rows of record {k}, which the model is fitted to: give data "
-        "that it has not seen, or none"
-    )
 
 
 def _numbers(one: Series) -> tuple[object, ...]:

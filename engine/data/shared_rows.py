@@ -20,6 +20,25 @@ FACTOR = np.uint64(
 )  # odd, of no pattern: numbers of rows become one of a stretch
 
 
+def about_shared_rows(records: Sequence[Series], tests: Sequence[Series] = ()) -> str:
+    """A sentence on the first of records and ``tests`` that has much of another one, else ""."""
+    every, n = [*records, *tests], len(records)
+    shared = shared_rows(every)
+    if shared is None:
+        return ""
+    k, j, rows = shared.earlier, shared.later, f"ows {shared.first} to {shared.last}"
+    if k < n <= j:
+        return (
+            f"R{rows} of the test, counted from 0, are those of a record that the model is fitted to: errors "
+            "there are not those of data that it has not seen. Give other data, or none."
+        )
+    what, begin = ("record", 0) if j < n else ("test", n)
+    return (
+        f"R{rows} of {what} {j - begin}, counted from 0, are those of {what} {k - begin}, and count twice: "
+        "give each once."
+    )
+
+
 @dataclass(frozen=True)
 class Shared:
     """Of record ``later`` the rows ``first`` to ``last`` are those of record ``earlier``."""

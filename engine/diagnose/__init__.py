@@ -35,6 +35,7 @@ import numpy as np
 
 from engine.data.joined import apart, starts_of
 from engine.data.series import Series
+from engine.data.shared_rows import about_shared_rows
 from engine.diagnose.diagnosis import Asked, Diagnosis
 from engine.diagnose.early import EarlyAnswer, Told
 from engine.diagnose.effects.catalogue import (
@@ -240,7 +241,8 @@ def diagnose(  # noqa: PLR0913
     with in_processes(processes):
         both = ask_both(model, records, fine, theta, asked, clock, done)
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
-    notes.extend(both.notes)
+    shared = about_shared_rows([records.main, *records.others], records.tests)
+    notes.extend([*both.notes, *([shared] if shared else [])])
     hidden = shadowed(causes.setting, effects)
     if hidden:
         notes.append(

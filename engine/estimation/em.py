@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from engine.data.faults import about_faults
 from engine.data.given import as_series_list, check_enough
 from engine.data.series import Series
+from engine.data.shared_rows import about_shared_rows
 from engine.errors import OptionError
 from engine.estimation.about_edges import about_edges
 from engine.estimation.beginnings import about_beginnings
@@ -303,6 +304,7 @@ def remark(model: BaseModel, found: EmResult, all_series: Sequence[Series]) -> s
     """What is to be said of the records, the model's clock and steps at an estimate, each after a space."""
     gaussian = isinstance(model, MixedModel) and not model.random_scales
     told = [about_faults(model.outputs, model.inputs, all_series, outliers=gaussian)]
+    told.append(about_shared_rows(all_series))
     if isinstance(model, MixedModel):
         told.append(about_clock(model, all_series))
         told.append(about_calls([model.transitions, model.observations]))

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.data.given import check_apart
 from engine.data.series import Series
-from engine.data.shared_rows import shared_rows
-from engine.errors import SeriesError
+from engine.data.shared_rows import about_shared_rows, shared_rows
 
 
 def record(seed, T=200, missing=0.1):
@@ -31,12 +29,14 @@ def test_a_part_of_another_record_is_found(first, last, before):
     assert (found.earlier, found.later) == (1, 2)
     assert abs(found.first - before) <= 2
     assert found.last == before + last - first - 1
-    with pytest.raises(
-        SeriesError, match=f"to {found.last} of the test, counted from 0, are rows of record 1"
-    ):
-        check_apart([record(3), one], [Series(y, u, dt=0.5)])
-    with pytest.raises(SeriesError, match="records 1 and 2 have rows in common"):
-        check_apart([record(3), one, Series(y, u, dt=0.5)])
+    given = [record(3), one]
+    assert (
+        f"to {found.last} of the test, counted from 0, are those of a record"
+        in about_shared_rows(given, [Series(y, u, dt=0.5)])
+    )
+    assert "of record 2, counted from 0, are those of record 1" in about_shared_rows(
+        [*given, Series(y, u, dt=0.5)]
+    )
 
 
 def test_what_is_alike_is_not():
@@ -63,7 +63,7 @@ def test_what_is_alike_is_not():
     )
     for records in ([one, record(2), record(3)], [one, same_input], at_rest, seldom, [one, few]):
         assert shared_rows(records) is None
-        check_apart(records[:1], records[1:])
+        assert about_shared_rows(records[:1], records[1:]) == ""
 
 
 def test_short_and_other_records_say_nothing():
