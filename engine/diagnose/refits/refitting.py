@@ -35,6 +35,8 @@ REFITS = (
 # Where a statistic is above the number of readings: so large an effect bends all scores ...
 MORE_REFITS = 24
 WORTH = 0.4  # ... but of these only what has so much of the best statistic is refitted
+# Where noise or something for a while leads, which makes up for any law that is bent: so many laws behind it.
+LAWS_BEHIND = 4
 # p-value of the tails that are left beside one bad reading: then there are more of them
 AGAIN = 0.01
 TIED = 1e-6  # share of a statistic: rounding, and so units, may not decide which of two is refitted
@@ -302,11 +304,19 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     values = [worth[s.effect.name] for s in named]
     first, most = _with_ties(values, REFITS), _with_ties(values, most)
     chosen = [s for i, s in enumerate(named[:most]) if i < first or values[i] >= WORTH * best]
+    if named and _makes_up(named[0].effect):
+        laws = [s for i, s in enumerate(named) if values[i] > 0.0 and not _makes_up(s.effect)]
+        chosen += [s for s in laws if s not in chosen][:LAWS_BEHIND]
     chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]
     tails = [s for s in seen.scores if s.effect.traits.outliers]
     if any(s.p_value < TAILS_ALARM for s in tails):  # which noise it is, their test cannot tell
         chosen += [s for s in tails if s not in chosen]
     return chosen + [s for s in seen.scores if s.effect.traits.unnamed and s.statistic > 0.0][:2]
+
+
+def _makes_up(effect: Effect) -> bool:
+    """Whether it is noise, or acts for a while: some of it is seen wherever a law is another one."""
+    return effect.family == "noise" or effect.traits.course in (Course.PULSE, Course.EPISODE)
 
 
 def _as_refitted(score: Score) -> Effect:

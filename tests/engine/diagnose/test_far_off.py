@@ -71,6 +71,32 @@ def worth(tails, asked=()):
     return [s.effect.name for s in chosen], names
 
 
+def behind(leading):
+    """What of the reading is refitted behind twelve effects of noise and of a while, which ``leading`` is ahead of."""
+    setting = Setting(DRIVE)
+    effects = [
+        f"{kind}:{place}" for kind in ("episode", "pulse") for place in ("speed", "load", "reading")
+    ]
+    effects += [f"variance:reading->{place}" for place in ("speed", "force", "time")]
+    effects += [f"variance:load->{place}" for place in ("speed", "load", "force", "time")]
+    effects += ["colored:reading", "bias:reading", "saturation-sensor:reading", "drag:load"]
+    scores = [
+        SimpleNamespace(effect=effect, statistic=100.0 - i, p_value=1e-9, at=effect.probes[0])
+        for i, effect in enumerate(make_effect(name, setting) for name in [leading, *effects])
+    ]
+    chosen = _worth_refitting(
+        SimpleNamespace(scores=scores), engine.Series(np.zeros(300), dt=DT), ()
+    )
+    return [s.effect.name for s in chosen]
+
+
+def test_behind_noise_and_what_acts_for_a_while_some_laws_are_refitted_whatever_their_rank():
+    """A sensor that clips is seen at first as an episode, as outliers, and eight times too small as itself."""
+    laws = {"saturation-sensor:reading", "bias:reading", "drag:load"}
+    assert laws <= {*behind("parameter-episode:damping")}
+    assert laws - {*behind("gain:reading")}
+
+
 def test_outliers_are_refitted_where_they_are_likely_whatever_their_rank():
     chosen, large = worth(tails=1e-5)
     assert chosen == [*large, "heavy-tails:reading"]
