@@ -72,7 +72,7 @@ def worth(tails, asked=()):
 
 
 def behind(leading):
-    """What of the reading is refitted behind twelve effects of noise and of a while, which ``leading`` is ahead of."""
+    """What of the reading is refitted behind a dozen effects of noise and of a while, one ahead of them."""
     setting = Setting(DRIVE)
     effects = [
         f"{kind}:{place}" for kind in ("episode", "pulse") for place in ("speed", "load", "reading")
