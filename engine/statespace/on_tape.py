@@ -1,8 +1,8 @@
 """A model's functions on tape, for what goes through a whole record: filters and free runs.
 
 At the end of each pass, and at its beginning while a tape is new, the function is called as well and compared:
-where it says something else its tape is given up, and the work is done by calls. A pass that meets a way through
-the function that the tape does not have begins anew with one that has it.
+where it says something else its tape is given up, and the work is done by calls. A pass that meets a way
+through the function that the tape does not have begins anew with one that has it.
 """
 
 from __future__ import annotations
