@@ -35,7 +35,7 @@ REFITS = (
 # Where a statistic is above the number of readings: so large an effect bends all scores ...
 MORE_REFITS = 24
 WORTH = 0.4  # ... but of these only what has so much of the best statistic is refitted
-# Where noise or something for a while leads, which makes up for any law that is bent: so many laws behind it.
+# Where something for a while leads, which makes up for any law that is bent: so many laws behind it.
 LAWS_BEHIND = 4
 # p-value of the tails that are left beside one bad reading: then there are more of them
 AGAIN = 0.01
@@ -304,7 +304,7 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     values = [worth[s.effect.name] for s in named]
     first, most = _with_ties(values, REFITS), _with_ties(values, most)
     chosen = [s for i, s in enumerate(named[:most]) if i < first or values[i] >= WORTH * best]
-    if named and _makes_up(named[0].effect):
+    if named and _for_a_while(named[0].effect):
         laws = [s for i, s in enumerate(named) if values[i] > 0.0 and not _makes_up(s.effect)]
         chosen += [s for s in laws if s not in chosen][:LAWS_BEHIND]
     chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]
@@ -316,7 +316,12 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
 
 def _makes_up(effect: Effect) -> bool:
     """Whether it is noise, or acts for a while: some of it is seen wherever a law is another one."""
-    return effect.family == "noise" or effect.traits.course in (Course.PULSE, Course.EPISODE)
+    return effect.family == "noise" or _for_a_while(effect)
+
+
+def _for_a_while(effect: Effect) -> bool:
+    """Whether it begins and is over. Noise that leads is no last word: laws show beside it in a later round."""
+    return effect.traits.course in (Course.PULSE, Course.EPISODE)
 
 
 def _as_refitted(score: Score) -> Effect:
