@@ -8,11 +8,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps
 from engine.kernels.moments import points_of
 from engine.kernels.taped import filter_taped
+from engine.statespace.kept_tape import OfRecord
 from engine.statespace.model import Array
 from engine.statespace.on_tape import SHORTEST, OnTape, on_tape
 
@@ -119,17 +121,24 @@ def tapes_of(run: FilterSteps, a: Array) -> Tapes | None:
 
 def reading_on_tape(run: FilterSteps, a: Array) -> OnTape | None:
     """The measurement at states such as a (K S, na)."""
-    return _on_tape(run, run.model.observations, FilterSteps.observation, run.series.u, a)
+    every = np.ones(len(run.series), dtype=np.bool_)
+    return _on_tape(run, run.model.observations, FilterSteps.observation, run.series.u, every, a)
 
 
 def moving_on_tape(run: FilterSteps, a: Array) -> OnTape | None:
     """The dynamics at states such as a (K S, na)."""
-    return _on_tape(run, run.model.transitions, FilterSteps.transition, run.series.u_step, a)
+    goes_on = np.append(np.ones(len(run.series) - 1, dtype=np.bool_), False)
+    goes_on[[row - 1 for row in run.series.begins]] = False
+    return _on_tape(
+        run, run.model.transitions, FilterSteps.transition, run.series.u_step, goes_on, a
+    )
 
 
-def _on_tape(run: FilterSteps, function: Any, call: Any, u: Array, a: Array) -> OnTape | None:
+def _on_tape(
+    run: FilterSteps, function: Any, call: Any, u: Array, called: NDArray[np.bool_], a: Array
+) -> OnTape | None:
     # inputs of one kind, whoever made them: a kernel is compiled for each
-    rows = np.array(u, dtype=float, order="C"), np.array(run.times), np.array([*run.steps, 0.0])
-    record = run.model.record(run.thetas.thetas[0])
-    differences = run.model.continuous
-    return on_tape(function, partial(call, run), rows, a, run.thetas.thetas, record, differences)
+    u, t, dt = np.array(u, dtype=float, order="C"), np.array(run.times), np.array([*run.steps, 0.0])
+    theta = run.model.record(run.thetas.thetas[0])
+    rows, differences = OfRecord(u, t, dt, called), run.model.continuous
+    return on_tape(function, partial(call, run), rows, a, run.thetas.thetas, theta, differences)

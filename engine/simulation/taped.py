@@ -8,6 +8,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.kernels.taped import run_taped
+from engine.statespace.kept_tape import OfRecord
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.on_tape import SHORTEST, on_tape
 from engine.statespace.shapes import stacked
@@ -33,7 +34,7 @@ def run_by_tape(
         f, A, Q = model.transition(a, inputs[t], times[t], steps[t], record)
         return f, stacked(A), stacked(Q)
 
-    rows = inputs, np.array(times), np.array([*steps, 0.0])
+    rows = OfRecord(inputs, np.array(times), np.array([*steps, 0.0]), np.arange(T) < T - 1)
     first = x1[:, :na]
     moving = on_tape(model.transitions, call, rows, first, thetas, theta, model.continuous)
     if moving is None or not moving.begins_well(x1[:, :na]):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.rows import Array
@@ -16,6 +17,18 @@ WAYS = 16  # through a function: more take longer to learn than they save in the
 NEW = 3  # passes of a tape, which are looked at from their beginning, too
 # states (M, na), inputs (M, nu), time and step (M, 2) and parameters (M, n) of rows
 Rows = tuple[Array, Array, Array, Array]
+
+
+class OfRecord(NamedTuple):
+    """The inputs ``u`` (T, nu), times ``t`` and steps ``dt`` (T,) of a record, the last step of no meaning.
+
+    The function is ``called`` (T,) at these rows: the dynamics neither at the last one nor where a record ends.
+    """
+
+    u: Array
+    t: Array
+    dt: Array
+    called: NDArray[np.bool_]
 
 
 @dataclass
@@ -40,13 +53,11 @@ class KeptTape:
         """Whether there may be a tape for steps of ``dt``, or for uneven ones."""
         return not (self.over or (dt is None and self.even_only))
 
-    def lines(
-        self, thetas: Array, copies: int, dt: float | None, record: tuple[Array, Array, Array]
-    ) -> Lines | None:
+    def lines(self, thetas: Array, copies: int, dt: float | None, record: OfRecord) -> Lines | None:
         """The lines for these parameters. None where there are none. Raises LeftError."""
         if self.tape is None:
             return None
-        found = lines_of(self.tape, thetas, copies, dt, record)
+        found = lines_of(self.tape, thetas, copies, dt, record[:3])
         if found is None:  # something that no kernel does
             self.even_only, self.over = True, dt is not None
         return found
@@ -85,8 +96,8 @@ class KeptTape:
         return found
 
 
-def rows_of(record: tuple[Array, Array, Array], a: Array, theta: Array) -> Rows:
-    """All rows of a record at the same states and parameters."""
-    u, t, dt = record
-    steps = np.append(dt[:-1], dt[-2])  # the last has no meaning
-    return np.tile(a, (len(t), 1)), u, np.stack([t, steps], axis=1), np.tile(theta, (len(t), 1))
+def rows_of(record: OfRecord, a: Array, theta: Array) -> Rows:
+    """The rows of a record at which the function is called, at the same states and parameters."""
+    clock = np.stack([record.t, record.dt], axis=1)[record.called]
+    n = len(clock)
+    return np.tile(a, (n, 1)), record.u[record.called], clock, np.tile(theta, (n, 1))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from engine.kernels.tape import evaluate
 from engine.statespace.evaluation import ModelFunction
-from engine.statespace.kept_tape import KeptTape, rows_of
+from engine.statespace.kept_tape import KeptTape, OfRecord, rows_of
 from engine.statespace.rows import Array
 from engine.statespace.tape import LeftError, Lines
 from engine.words import enumerated
@@ -37,15 +37,15 @@ _KEPT: WeakKeyDictionary[ModelFunction, KeptTape] = WeakKeyDictionary()
 class OnTape:
     """A model's function on tape, for rows of ``thetas``, and its ``call``.
 
-    ``record`` are inputs, times and steps, ``theta`` is a record of parameters. ``differences``: a call may
-    take its slopes by the states from differences, as a step of differential equations does.
+    ``theta`` is a record of parameters. ``differences``: a call may take its slopes by the states from
+    differences, as a step of differential equations does.
     """
 
     kept: KeptTape
     function: ModelFunction
     lines: Lines
     call: Callable[[int, Array], tuple[Array, Array, Array]]
-    record: tuple[Array, Array, Array]
+    record: OfRecord
     thetas: Array
     theta: Any
     differences: bool
@@ -53,18 +53,18 @@ class OnTape:
     @cached_property
     def u(self) -> Array:
         """The inputs (T, .), with what else the tape takes of them and the times."""
-        u, columns = self.record[0], self.lines.columns
+        u, columns = self.record.u, self.lines.columns
         return np.array(np.concatenate([u, columns], axis=1), order="C") if columns.size else u
 
     @property
     def t(self) -> Array:
         """The times (T,)."""
-        return self.record[1]
+        return self.record.t
 
     @property
     def dt(self) -> Array:
         """The steps (T,)."""
-        return self.record[2]
+        return self.record.dt
 
     @property
     def shapes(self) -> Sequence[tuple[int, ...]]:
@@ -138,7 +138,7 @@ class OnTape:
 
         Where a call says something else there no tape is used.
         """
-        lines, (u, t, _) = self.lines, self.record
+        lines, (u, t, _, called) = self.lines, self.record
         there = np.asarray(np.isfinite(lines.points).all(axis=1))
         if not there.any():
             return False
@@ -151,7 +151,7 @@ class OnTape:
         self.kept.learn_all(self.function, rows_of(self.record, a[0], each[0]), self.theta)
         own = self.function, self.call, self.record
         again = on_tape(*own, lines.points, self.thetas, self.theta, self.differences)
-        row = int(np.argmax((t == clock[0]) & (u == now).all(axis=1)))
+        row = int(np.argmax(called & (t == clock[0]) & (u == now).all(axis=1)))
         return again is not None and again.agrees(row, lines.points)
 
     def note(self, done: bool) -> None:
@@ -204,7 +204,7 @@ def about_calls(functions: Sequence[ModelFunction]) -> str:
 def on_tape(
     function: ModelFunction,
     call: Callable[[int, Array], tuple[Array, Array, Array]],
-    record: tuple[Array, Array, Array],
+    record: OfRecord,
     a: Array,
     thetas: Array,
     theta: Any,
@@ -212,11 +212,10 @@ def on_tape(
 ) -> OnTape | None:
     """A function at states such as a (K S, na), S rows for each of ``thetas`` (K, n); recorded the first time.
 
-    ``record`` are its inputs (T, nu), the times (T,) and steps (T,) of a series, the last of no meaning;
-    ``call(t, a)`` calls it at row t, and ``theta`` is a record of the first parameters; ``differences`` as
-    :class:`OnTape` has it. None where it must be called.
+    ``call(t, a)`` calls it at row t of the ``record``, and ``theta`` is a record of the first parameters;
+    ``differences`` as :class:`OnTape` has it. None where it must be called.
     """
-    kept, dt = _KEPT.setdefault(function, KeptTape()), record[2]
+    kept, dt = _KEPT.setdefault(function, KeptTape()), record.dt
     step = float(dt[0]) if (dt[:-1] == dt[0]).all() else None
     met: list[int] = []
     if kept.has_any(step) and kept.tape is None:
@@ -227,8 +226,8 @@ def on_tape(
     try:
         lines = kept.lines(thetas, len(a) // len(thetas), step, record)
     except LeftError:
-        first = rows_of(record, a[0], thetas[0])
-        states, inputs, clock = (np.tile(x[:1], (len(thetas), 1)) for x in first[:-1])
+        first = a[0], record.u[0], np.array([record.t[0], dt[0]])
+        states, inputs, clock = (np.tile(x, (len(thetas), 1)) for x in first)
         if not kept.learn_all(function, (states, inputs, clock, thetas), theta):
             return None
         return on_tape(function, call, record, a, thetas, theta, differences)
@@ -236,4 +235,5 @@ def on_tape(
         return None
     own = OnTape(kept, function, lines, call, record, thetas, theta, differences)
     # of what the record alone decides each way is looked at
-    return own if all(own.agrees(t, a) for t in met[1:]) else None
+    rows = np.flatnonzero(record.called)[met[1:]].tolist()
+    return own if all(own.agrees(t, a) for t in rows) else None

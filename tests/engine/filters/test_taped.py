@@ -356,6 +356,21 @@ def test_outliers_and_paths_learn_ways_as_well(step, monkeypatch):
     np.testing.assert_allclose(path.filtered, called.filtered, rtol=1e-8, atol=1e-8)
 
 
+def test_a_way_of_rows_at_which_no_step_is_made_is_none(monkeypatch):
+    """An input that switches in the last row, and a step from one record to the next."""
+
+    def switched(a, u, t, dt, theta):
+        assert dt < 10.0
+        return (theta.k if u[0] < 4.0 and dt < 1.0 else 0.5) * a, np.zeros((1, 0)), [[0.01]]
+
+    model, one = level(switched), series_for(level(switched), 1)
+    last = replace(one, u=np.append(np.ones(T - 1), 5.0)[:, None])
+    far = replace(series_for(model, 2, even=False), begins=())
+    far = Series(far.y, far.u, t=far.t + 500.0, y_names=("y",), u_names=("u",))
+    for series in (last, together([one, far])):
+        assert_same(*both(model, thetas_of(model, 1), series, monkeypatch))
+
+
 def test_a_way_that_only_one_record_takes_is_learned_there(monkeypatch):
     """The pass begins anew, and the next record finds it."""
     model = level(lambda *given: (by_input(*given), np.zeros((1, 0)), [[0.01]]))
