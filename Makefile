@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Byte code is kept whatever the environment says: the tests start a hundred processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-long test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-tape bench-continuous bench-busy-cores
+.PHONY: setup demo serve test test-long test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-tape bench-written bench-continuous bench-busy-cores
 
 setup: .venv/ready
 
@@ -64,6 +64,10 @@ bench-free-run: setup
 # Moment filters and free runs through tapes beside those by calls.
 bench-tape: setup
 	$(BIN)/python -m tests.benchmarks.bench_tape
+
+# A model written in different ways, its functions on tape beside calls of them.
+bench-written: setup
+	$(BIN)/python -m tests.benchmarks.bench_written
 
 # A diagnosis of differential equations beside that of an older commit: AGAINST=commit, MODEL=tanks or room.
 bench-continuous: setup

@@ -39,6 +39,10 @@ def applied(ufunc: Any, method: str, inputs: Sequence[Any], options: dict[str, A
         result = each(*plain)
     elif method == "reduce" and ufunc in (np.maximum, np.minimum):
         each = np.frompyfunc(lambda *xs: record(ufunc, xs), 2, 1)
+        if options.get("axis", 0) is None and not options.get(
+            "keepdims"
+        ):  # of all entries, in a row
+            plain, options = [plain[0].ravel()], {**options, "axis": 0}
         result = each.reduce(*plain, **options)
     else:
         if ufunc is np.add:

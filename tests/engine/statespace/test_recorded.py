@@ -130,6 +130,8 @@ def caught(a, u, t, dt, th):
 def averages(a, u, t, dt, th):
     speed = np.linalg.norm(np.array([[th.w, u[0]], [th.k, u[1]]]), axis=1)
     level = np.mean(speed) + np.array([th.w, th.k]).mean() + np.round(u[0], 1) + np.sinc(u[1])
+    table = np.array([[th.w, u[0]], [u[1], th.k]])
+    level = level + np.abs(table).max() + table.min() + np.max(table, axis=0)[1]
     return [a[:, 0] + level, np.deg2rad(u[0])], SHAPE[:, :1] * np.mean(th.w), th.q * np.eye(2)
 
 
