@@ -37,6 +37,7 @@ from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
 from engine.filters.sigma_point import moment_filter, moment_path
 from engine.kernels.excitation import within_bounds
+from engine.kernels.gaussian import impossible
 from engine.kernels.pairs import best_pairs
 from engine.kernels.sensitivities import footprints
 from engine.kernels.whitening import spread, whitened
@@ -47,6 +48,7 @@ from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import simulate
 from engine.simulation.whole_record import SHORTEST, whole_record
 from engine.smoothers.linear_cost import rb_ffbsi_linear
+from engine.smoothers.special_case import gaussian_case, rb_ffbsi_special, rbpf_special
 from engine.statespace.continuous import continuous
 from engine.statespace.discretization import discretize
 from engine.statespace.model import Gaussian, MixedModel
@@ -79,6 +81,9 @@ def of_particles() -> None:
     walk, short = _walk(rng)
     prediction_pit(rbpf(walk, None, short, 4, rng), rng)
     rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
+    rbpf(with_mixture(walk), None, short, 4, rng)
+    special = rbpf_special(gaussian_case(_decay()), None, Series(np.zeros(3)), 4, rng)
+    rb_ffbsi_special(special, 4, rng)
 
 
 def of_moments_and_runs() -> None:
@@ -102,7 +107,25 @@ def of_moments_and_runs() -> None:
     measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]], n_starts=1)
     discretize(np.eye(1), dt=1.0)
-    decay = continuous(
+    decay, tanks = _decay(), with_mixture(tanks)
+    numbers = decay.record(decay.theta())
+    decay.transition(np.ones((2, 1)), np.zeros(0), 0.0, 1.0, numbers)
+    whole_record(decay, numbers, Series(np.zeros(SHORTEST)), np.ones(1))
+    for rows in (len(short), SHORTEST_ON_TAPE):
+        moment_filter(tanks, np.asarray(tanks.theta())[None], measured.part(0, rows))
+    impossible(np.ones((1, 1, 1)))
+    run = free_run(walk, None, Series(np.zeros(SHORTEST)))
+    first, x = np.arange(1), np.hstack((run.a, run.z))
+    along = Along(walk, np.asarray(run.theta), run.series, x)
+    along.by(first, first, np.full(1, 1e-5))
+    one = np.arange(1)
+    best_pairs(np.ones((1, 1)), np.zeros((1, 1)), one, one, np.ones(1, dtype=bool))
+    design_kernels()
+
+
+def _decay() -> MixedModel:
+    """One nonlinear state, in continuous time."""
+    return continuous(
         name="decay",
         drift=lambda a, u, t, theta: (-a, np.zeros((1, 0))),
         diffusion=lambda a, u, t, theta: np.eye(1),
@@ -112,15 +135,6 @@ def of_moments_and_runs() -> None:
         outputs={"y": "1"},
         parameters=[],
     )
-    decay.transition(np.ones((2, 1)), np.zeros(0), 0.0, 1.0, decay.record(decay.theta()))
-    run = free_run(walk, None, Series(np.zeros(SHORTEST)))
-    whole_record(walk, run.theta, run.series, np.zeros(nx))
-    first, x = np.arange(1), np.hstack((run.a, run.z))
-    along = Along(walk, np.asarray(run.theta), run.series, x)
-    along.by(first, first, np.full(1, 1e-5))
-    one = np.arange(1)
-    best_pairs(np.ones((1, 1)), np.zeros((1, 1)), one, one, np.ones(1, dtype=bool))
-    design_kernels()
 
 
 def _walk(rng: np.random.Generator) -> tuple[MixedModel, Series]:

@@ -189,6 +189,7 @@ class _Discretized:
     repeated: _Repeated = field(default_factory=_Repeated, compare=False, repr=False)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+        a = np.ascontiguousarray(a)  # as kernels are compiled for
         middle, length = t + 0.5 * dt, np.array(dt, dtype=float, ndmin=1)
         f, A = self._rates(a, u, middle, theta)
         Qc = self._intensity(a, u, middle, theta)

@@ -95,9 +95,10 @@ class Gaussian:
     cov: Array
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
-        m = np.atleast_1d(np.asarray(mean, dtype=float))
+        # copies: a caller may write into its own arrays later, and lays them out as it likes
+        m = np.array(mean, dtype=float, ndmin=1, order="C")
         object.__setattr__(self, "mean", m)
-        P = np.asarray(cov, dtype=float)
+        P = np.array(cov, dtype=float, order="C")
         if m.ndim != 1 or P.size != m.size**2:
             raise ModelError(
                 f"a Gaussian with mean {m.shape} needs cov ({m.size}, {m.size}); it has {P.shape}"

@@ -10,7 +10,9 @@ import pytest
 
 # in a process of its own, for other tests of this one may have compiled or loaded what is missing
 SCRIPT = """
+import ast
 import sys
+from pathlib import Path
 import numpy as np
 import service.attempt
 import service.cli.diagnose
@@ -35,7 +37,14 @@ class Progress:
 def signatures():
     return {(name, str(one)) for name, all_ in compiled_kernels().items() for one in all_}
 
-warm()
+called = set()
+for file in Path(engine.__file__).parent.rglob("*.py"):
+    for node in ast.walk(ast.parse(file.read_text())) if file.parent.name != "kernels" else ():
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("engine.kernels."):
+            called |= {node.module.split(".")[-1] + "." + one.name for one in node.names}
+known = warm()
+never = sorted(name for name in called & known.keys() if not known[name])
+assert not never, f"called, and not compiled ahead: {never}"
 before = signatures()
 for name in ("mixed-4", "linear-2", "tanks"):
     estimate = model(engine.get_model(name)).example
