@@ -119,11 +119,20 @@ def find_causes(  # noqa: PLR0913
         seed=seed,
         progress=clock.progress,
     )
-    found = look(series, base, setting, alpha=alpha, kept=kept, enough=AT_FIRST if finer else 0)
+    seen = partial(_seen_by_a_controller, series=series, setting=setting, effects=effects)
+    found = look(
+        series,
+        base,
+        setting,
+        alpha=alpha,
+        kept=kept,
+        enough=AT_FIRST if finer else 0,
+        ends=lambda so_far: seen(so_far) is not None,  # what follows would be found beside it
+    )
     if found.by_the_steps:
         clock.stop()
         return Causes(base, setting, found, Verdict.UNKNOWN, tuple(notes), coarse=True)
-    aside = _seen_by_a_controller(found, series, setting, effects)
+    aside = seen(found)
     if aside is not None:
         notes.append(aside.note)
         if aside.others:

@@ -73,6 +73,8 @@ LATER = 0.1  # of alpha, for screens after the first, as each round is a new cha
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
 ANEW = "another beginning"  # the stage of a search that begins with another effect
 TWICE = 0.5  # of that stage, for the search without simulations, and for the one with them
+# Whether the search ends with what was found so far, as it is to be done anew.
+Ends = Callable[[Search], bool]
 PASSES = 3  # of taking outliers out: what follows one is judged again without it
 
 
@@ -89,11 +91,13 @@ def search(  # noqa: PLR0913
     progress: Progress,
     kept: Kept = NOTHING,
     enough: int = 0,
+    ends: Ends = lambda found: False,
 ) -> Search:
     """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already.
 
     What came first decides what is found beside it. So where several are found, another beginning is tried.
     And with fewer than ``enough`` steps a sample the search ends where shorter ones may decide what came first.
+    So it does behind a round at which what was found so far ``ends`` it.
     """
     look = partial(
         _one_after_the_other,
@@ -106,7 +110,7 @@ def search(  # noqa: PLR0913
         kinds=kinds,
         seed=seed,
     )
-    found, begun = look(progress=progress, kept=kept, enough=enough)
+    found, begun = look(progress=progress, kept=kept, enough=enough, ends=ends)
     if begun is None or not may_begin_otherwise(found, begun):
         return found
 
@@ -151,6 +155,7 @@ def _one_after_the_other(  # noqa: PLR0913
     first: Round | None = None,
     simulating: bool = True,
     enough: int = 0,
+    ends: Ends = lambda found: False,
 ) -> tuple[Search, Round | None]:
     """The search and its first round as it was found, or that ``first`` with which it is to begin.
 
@@ -226,6 +231,10 @@ def _one_after_the_other(  # noqa: PLR0913
         if k == 0 and decided_by_steps(found, series, setting, here, enough):
             ended = Search(base, found.refits[0].fit, tuple(rounds), alarm, by_the_steps=True)
             return ended, None
+        if tails is None:
+            ended = Search(base, found.refits[0].fit, tuple(rounds), alarm)
+            if ends(ended):
+                return ended, None
         if not found.refits[0].effect.traits.outliers:
             best = found.refits[0].fit
             told = _iterations(progress, "refit", FOLLOWED)

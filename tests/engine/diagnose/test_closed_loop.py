@@ -14,7 +14,7 @@ from engine.diagnose.judging.feedback import answering, foretold, of_own_row, sw
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round
-from engine.diagnose.search import pipeline
+from engine.diagnose.search import pipeline, search
 from engine.estimation.quasi_ml import quasi_ml
 
 P = engine.Parameter
@@ -192,10 +192,14 @@ def test_nor_are_those_that_hold_some_function_of_it_or_for_some_of_the_time(par
 
 @pytest.mark.long
 @pytest.mark.parametrize("later", [False, True])
-def test_a_controller_is_no_direct_path(later):
+def test_a_controller_is_no_direct_path(later, monkeypatch):
     series = record(3, closed=True, later=later)
+    begun, rounds = search.refit_best, []
+    monkeypatch.setattr(search, "refit_best", lambda *a, **k: rounds.append(1) or begun(*a, **k))
     found = engine.diagnose(TANK, series, effects=["direct", "bias", "gain", "coulomb"])
     assert found.verdict.value == "nothing"
+    # nothing is looked for beside what may be the controller
+    assert len(rounds) == (0 if later else 1)
     assert (" closed loop" in " ".join(found.notes)) is not later
 
 
