@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from engine.arrays import Array
+from engine.data.counters import uneven
 from engine.data.dates import about_orders, date_of, in_order, order_of, with_slashes
 from engine.errors import SeriesError
 from engine.units import clock_of, meanings
@@ -95,8 +96,10 @@ def _seconds_of(unit: str) -> float:
     return size
 
 
-def converted(times: Any, told: str, unit: str) -> tuple[Any, str]:
+def converted(times: Any, told: str, unit: str, by: str = "file") -> tuple[Any, str]:
     """Numbers that count ``told``, if there are any, as ones that count ``unit``, and what is to be said of it.
+
+    ``by`` is what tells it.
 
     Where it is not known how long one of the two is they stay as they are.
     """
@@ -106,7 +109,7 @@ def converted(times: Any, told: str, unit: str) -> tuple[Any, str]:
     if own == wanted and (own is not None or told == unit):
         return times, ""
     if own is None or wanted is None:
-        return times, f"times count {told} by the file, and are taken for {unit}, as asked."
+        return times, f"times count {told} by the {by}, and are taken for {unit}, as asked."
     said = f"times are converted from {told} to {unit}."
     return (times / (wanted / own) if wanted > own else times * (own / wanted)), said
 
@@ -282,16 +285,57 @@ def _check_step(times: Array, dt: float) -> None:
 def index_of(tables: Iterable[Any]) -> Any:
     """The first index that says when rows of tables were measured, None where none does.
 
-    Dates, durations and decimal numbers say so; whole numbers count rows, and texts name them.
+    Dates, also as text, periods, durations and decimal numbers say so; whole numbers count rows, and other
+    texts name them.
     """
     for table in tables:
         labels = _labels(table)
         if labels is None:
             continue
-        dates = labels.dtype.kind == "O" and labels.size and all(map(_is_date, labels))
+        if callable(periods := getattr(table.index, "to_timestamp", None)):
+            return periods()
+        objects = labels.dtype.kind in "OU" and labels.size
+        dates = objects and (all(map(_is_date, labels)) or _are_texts_of_dates(labels))
         if dates or labels.dtype.kind in "Mmf":
             return table.index
     return None
+
+
+def about_index(tables: Iterable[Any], dt: Any, unit: str) -> str:
+    """A note where whole numbers in the index of a table, which count rows, do not count these; else ""."""
+    every = [labels for table in tables if (labels := _labels(table)) is not None]
+    numbers = next((one for one in every if one.dtype.kind in WHOLE and len(one) > 1), None)
+    if numbers is None:
+        return ""
+    if (row := uneven(numbers.astype(np.int64))) is not None:
+        return (
+            f"the index goes from {numbers[row - 1]} to {numbers[row]} at row {row}, and rows are taken as one "
+            "step apart, as they stand: where some were left out, put them in again with empty readings (NaN), "
+            "or give times, t=; others sort, or give as records of their own."
+        )
+    if dt is not None or numbers[1] - numbers[0] in (0, 1):
+        return ""
+    shown = ", ".join(map(str, numbers[:3]))
+    return f"the index counts {shown}: no times, and a step of 1 {unit} is assumed; give t=, or dt."
+
+
+def about_name(times: Any, unit: str) -> str:
+    """A note where the name of a table's column or index says that its numbers count another unit; else ""."""
+    name, kind = getattr(times, "name", None), getattr(getattr(times, "dtype", None), "kind", "")
+    told = clock_of(str(name or ""))
+    if kind not in "fiu" or not told or told == unit or (_size(told) or 0.0) == _size(unit):
+        return ""
+    return (
+        f"times '{name}' count {told} by its name, and are taken for {unit}: say time_unit='{told}', "
+        "or convert them."
+    )
+
+
+def _are_texts_of_dates(labels: Any) -> bool:
+    texts = list(labels)
+    if not all(isinstance(one, str) for one in texts):
+        return False
+    return with_slashes(texts) or all(date_of(one) is not None for one in texts)
 
 
 def check_same_rows(tables: Mapping[str, Any]) -> None:

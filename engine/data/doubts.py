@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import date, datetime, timedelta
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,28 @@ Whole = NDArray[np.int64]
 SINCE_1970 = (3e8, 4.1e9)  # seconds: 1979 to 2099
 PARTS = {1e3: "ms", 1e6: "us", 1e9: "ns"}  # of a second
 YEARS = (1800, 2200)  # of dates in a number
+
+
+def doubts_of(told: Any, times: Array, unit: str) -> list[str]:
+    """Notes of times (T,) that may be others; ``told`` are they as given, and ``times`` count a ``unit``."""
+    dates = _dates(told)
+    if dates:
+        found = [set_forward(dates)]
+    elif np.asarray(told).dtype.kind == "m":
+        return []
+    else:
+        counted = (days_of_spreadsheet, since_1970) if unit in ("", "s") else ()
+        found = [doubt(times) for doubt in (*counted, digits_of_a_clock)]
+    return [said for said in found if said]
+
+
+def _dates(told: Any) -> list[datetime]:
+    """Times as dates, where they were given so; none of texts, whose order is read elsewhere."""
+    array = np.asarray(told).ravel()
+    if array.dtype.kind == "M":
+        array = np.array(array.astype("datetime64[us]").tolist(), dtype=object)
+    there = array.dtype.kind == "O" and all(isinstance(one, datetime) for one in array)
+    return list(array) if there else []
 
 
 def set_forward(dates: Sequence[datetime]) -> str:

@@ -43,9 +43,9 @@ from engine.data.array_files import read_mat, read_npz
 from engine.data.by_column import gather, names_and_times, names_records, parts_of
 from engine.data.clock import converted
 from engine.data.csv_files import read_csv
-from engine.data.doubts import days_of_spreadsheet, digits_of_a_clock, set_forward, since_1970
+from engine.data.doubts import doubts_of
 from engine.data.series import Series
-from engine.data.stamps import candidates, like_times
+from engine.data.stamps import candidates, like_times, rows_missing
 from engine.data.table import Table
 from engine.errors import OptionError, ReadingWarning, SeriesError
 from engine.units import (
@@ -215,13 +215,11 @@ def series_from(
         if "time must increase" in text:
             text += _by_which(table, t, {*y_columns, *u_columns, *other}, advice)
         raise SeriesError(f"{table.file}: {text}") from error
-    if isinstance(times, list):
-        table.notes += [table.with_lines(said) for said in (set_forward(times),) if said]
-    elif times is not None:
-        counted = (days_of_spreadsheet, since_1970) if unit in ("", SECOND) else ()
-        table.notes += [
-            said for doubt in (*counted, digits_of_a_clock) if (said := doubt(series.t))
-        ]
+    if times is not None:
+        table.notes += [table.with_lines(said) for said in doubts_of(times, series.t, unit)]
+    elif step is not None:
+        missing = rows_missing(table, {*y_columns, *u_columns, *other})
+        table.notes += [table.with_lines(said) for said in missing]
     return series
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from engine.data.clock import converted, index_of
+from engine.data.doubts import doubts_of
 from engine.data.series import Series
-from engine.errors import OptionError, SeriesError
+from engine.data.stamps import candidates, holds_dates, like_times, rows_missing
+from engine.data.table import Table
+from engine.errors import OptionError, ReadingWarning, SeriesError
 from engine.units import SECOND, clock_of, named_with_unit
 
 
@@ -73,6 +77,7 @@ def from_frame(
     if clock is not None:
         arguments["t"] = table[clock]
     dated = _is_dated(table if clock is None else table[clock])
+    notes: list[str] = []
     if units is not None and not dated:
         named = str(clock if clock is not None else table.index.name or "")
         told = table.attrs.get("time_unit") or clock_of(named)
@@ -80,14 +85,48 @@ def from_frame(
         times = table.index if counts else index_of((table,))
         times = table[clock] if clock is not None else times if more.get("dt") is None else None
         if times is not None:
-            arguments["t"] = _counted(times, told, time_unit or told)
+            arguments["t"], said = _counted(times, told, time_unit or told)
+            notes += [said] if said else []
         time_unit = time_unit or told
-    return Series(
+    if "t" not in arguments and more.get("t") is None:
+        notes += _about_rows(
+            table, [c for one in taken.values() for c in one], more.get("dt"), time_unit
+        )
+    series = Series(
         **arguments,
         time_unit=time_unit or SECOND,
         units={name: unit for name, unit in found.items() if unit},
         **more,
     )
+    if isinstance(arguments.get("t"), np.ndarray):  # others are looked at by the series
+        notes += doubts_of(arguments["t"], series.t, series.time_unit)
+    for note in notes:
+        warnings.warn(note, ReadingWarning, stacklevel=3)
+    return series
+
+
+def _about_rows(table: Any, taken: Sequence[str], dt: Any, time_unit: str | None) -> list[str]:
+    """Notes of columns that may have the times, or that count rows of which some are missing."""
+    cells: dict[str, Any] = {}
+    for i, name in enumerate(map(str, table.columns)):
+        values = table.iloc[:, i]
+        numbers = values.dtype.kind in "fiu" and isinstance(values.dtype, np.dtype)
+        cells[name] = values.to_numpy(float) if numbers else [str(one) for one in values]
+    as_file = Table("table", cells, {name: [name] for name in cells}, range(len(table)))
+    if dt is not None:
+        return rows_missing(as_file, taken)
+    if index_of((table,)) is not None:
+        return []
+    named = candidates(as_file, taken)
+    column, why = (named[0], "is called so") if named else like_times(as_file, taken)
+    if named and holds_dates(as_file, column):
+        why = "holds dates"
+    if not column:
+        return []
+    return [
+        f"no column of times: a step of 1 {time_unit or SECOND} is assumed; as '{column}' {why}, give "
+        f"t='{column}', or dt."
+    ]
 
 
 class _Columns:
@@ -123,12 +162,12 @@ class _Columns:
         return f"there are {', '.join(self.there)}"
 
 
-def _counted(times: Any, told: str, unit: str) -> Any:
-    """Numbers that count ``told`` as ones that count a ``unit``; dates as they are."""
+def _counted(times: Any, told: str, unit: str) -> tuple[Any, str]:
+    """Numbers that count ``told`` as ones that count a ``unit``, and what is to be said; dates as they are."""
     try:
-        return converted(np.asarray(times, dtype=float), told, unit)[0]
+        return converted(np.asarray(times, dtype=float), told, unit, "table")
     except (TypeError, ValueError):
-        return times
+        return times, ""
 
 
 def _is_dated(values: Any) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -14,9 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
-from engine.data.clock import check_same_rows, common_step, index_of, times_of
+from engine.data.clock import (
+    about_index,
+    about_name,
+    check_same_rows,
+    common_step,
+    index_of,
+    times_of,
+)
+from engine.data.doubts import doubts_of
 from engine.data.hold import HOLDS, between, means, over_steps
-from engine.errors import OptionError, SeriesError
+from engine.errors import OptionError, ReadingWarning, SeriesError
 from engine.units import SECOND
 from engine.views import Shown, View, frame, sheet, tables
 
@@ -108,6 +117,7 @@ class Series(Shown):
         check_same_rows({"y": y, "u": u, "extra": extra, "t": t})
         if t is None and dt is None:
             t = index_of((y, u))
+        counted = t is None
         y_names, u_names, extra_names = (
             _own_names(values) if names is None else names
             for values, names in ((y, y_names), (u, u_names), (extra, extra_names))
@@ -157,6 +167,13 @@ class Series(Shown):
         set_(self, "time_unit", time_unit.strip())
         set_(self, "units", self._known_units(units or {}))
         self._freeze()
+        notes = [about_name(t, self.time_unit)]
+        if counted:
+            notes += [about_index((y, u), dt, self.time_unit)]
+        elif hasattr(t, "name"):
+            notes += doubts_of(t, self.t, self.time_unit)
+        for note in filter(None, notes):
+            warnings.warn(note, ReadingWarning, stacklevel=2)
 
     def _freeze(self) -> None:
         for array in (self.y, self.u, self.extra, self.t):
@@ -442,6 +459,8 @@ class Series(Shown):
 
 
 def _columns(values: ArrayLike, name: str) -> Array:
+    if _holds_dates(values):
+        raise SeriesError(f"{name} holds dates or durations, no numbers: only times may be such")
     try:
         if np.iscomplexobj(values):
             raise ValueError("they are complex")
@@ -456,6 +475,14 @@ def _columns(values: ArrayLike, name: str) -> Array:
     if array.ndim != 2:
         raise SeriesError(f"{name} has shape {array.shape}; (T, n{name}) is needed")
     return array
+
+
+def _holds_dates(values: Any) -> bool:
+    """Whether a column of a table, or an array, is of dates or durations, which NumPy turns into numbers."""
+    columns = getattr(values, "dtypes", None)  # of a table each has its own
+    kinds = [values] if columns is None or not hasattr(columns, "__iter__") else columns
+    found = [getattr(getattr(one, "dtype", one), "kind", "") for one in kinds]
+    return any(kind in ("m", "M") for kind in found)
 
 
 def _names(names: Sequence[str] | None, n: int, prefix: str) -> tuple[str, ...]:

@@ -9,12 +9,12 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.clock import elapsed, times_in
+from engine.data.counters import MOSTLY, uneven_counter
 from engine.data.dates import date_of, order_of, with_slashes
 from engine.data.table import LIKE_DATE, TIME_OF_DAY, Table, is_number
 from engine.errors import SeriesError
 from engine.units import SECOND, times_among
 
-MOSTLY = 0.9  # of the rows: noise beside a trend falls more often
 ANY_DATE = re.compile(r"\d{1,4}([./-])\d{1,2}\1\d{1,4}([ T].*)?")
 
 
@@ -115,3 +115,22 @@ def counts(values: Array) -> bool:
     """Whether values go up by the same step throughout: a clock, or a number of the row."""
     steps = np.diff(values)
     return bool(steps.size and steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0))
+
+
+def rows_missing(table: Table, taken: Collection[str]) -> list[str]:
+    """A note where a column that is not ``taken`` counts rows of which some are not there."""
+    for name in table.columns:
+        if name in taken:
+            continue
+        try:
+            numbers = table.column(name)
+        except SeriesError:  # words
+            continue
+        if (row := uneven_counter(numbers)) is not None:
+            steps = np.diff(numbers)
+            return [
+                f"column '{name}' goes up by {steps.min():g}, but from {numbers[row - 1]:.10g} to "
+                f"{numbers[row]:.10g} at row {row}: where rows are missing, give their times (t=), or put them "
+                "in again with empty readings."
+            ]
+    return []

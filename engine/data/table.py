@@ -184,7 +184,9 @@ class Table:
             hint = "; dates of a column of times are read as 2024-03-01 13:45:00: write them so"
         elif not any(map(str.isdigit, text)) and row:
             hint = "; write a number, or nothing where there is no reading"
-        elif row == 0 and not any(is_number(cells[0].strip()) for cells in self.columns.values()):
+        elif row == 0 and not any(
+            is_number(str(cells[0]).strip()) for cells in self.columns.values()
+        ):
             hint = "; if this line holds units, write them behind the names, as in 't [s]', or delete it"
         raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")
 

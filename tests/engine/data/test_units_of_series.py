@@ -154,7 +154,8 @@ def test_units_behind_the_names_of_columns_where_asked(table):
     assert series.units == {"pressure": "bar", "valve": "%"}
     assert (series.time_unit, series.t.tolist()) == ("min", [0.0, 0.5, 1.5])
     assert "bar" in str(series)
-    plain = engine.Series.from_frame(table, ["pressure [bar]"])
+    with pytest.warns(ReadingWarning, match="count min by its name, and are taken for s"):
+        plain = engine.Series.from_frame(table, ["pressure [bar]"])
     assert (plain.y_names, plain.units, plain.time_unit) == (("pressure [bar]",), {}, "s")
 
 
@@ -163,9 +164,11 @@ def test_units_from_attrs_and_as_given(table):
     table.attrs = {"units": {"pressure": "kPa"}, "time_unit": "h"}
     series = engine.Series.from_frame(table, ["pressure"], units="attrs")
     assert (series.units, series.time_unit) == ({"pressure": "kPa"}, "h")
-    given = engine.Series.from_frame(
-        table, ["pressure"], units={"pressure": "MPa"}, time_unit="day"
-    )
+    with pytest.warns(ReadingWarning, match="times are converted from h to day") as told:
+        given = engine.Series.from_frame(
+            table, ["pressure"], units={"pressure": "MPa"}, time_unit="day"
+        )
+    assert len(told) == 1
     assert (given.units, given.time_unit) == ({"pressure": "MPa"}, "day")
     assert given.t.tolist() == pytest.approx([0.0, 0.5 / 24.0, 1.5 / 24.0])  # attrs count hours
     with pytest.raises(SeriesError, match="units: there is no column 'p'"):
@@ -180,19 +183,25 @@ def test_an_index_that_counts_rows_is_no_times_to_convert(table):
     table = table.reset_index(drop=True)
     table.attrs["time_unit"] = "ms"
     for dt in (0.5, None):
-        series = engine.Series.from_frame(table, ["pressure"], units="names", time_unit="s", dt=dt)
+        series = engine.Series.from_frame(
+            table, ["pressure"], ["valve"], units="names", time_unit="s", dt=dt
+        )
         assert (series.dt, series.time_unit) == (dt or 1.0, "s")
 
 
 def test_an_index_whose_name_has_a_unit_of_time_has_times(table):
     table.index = pd.Index([0, 10, 20], name="time [ms]")
-    for unit, dt in ((None, 10.0), ("s", 0.01)):
+    for unit, dt in ((None, 10.0), ("ms", 10.0)):
         series = engine.Series.from_frame(table, ["pressure"], units="names", time_unit=unit)
         assert (series.dt, series.time_unit) == (pytest.approx(dt), unit or "ms")
+    with pytest.warns(ReadingWarning, match="times are converted from ms to s"):
+        series = engine.Series.from_frame(table, ["pressure"], units="names", time_unit="s")
+    assert (series.dt, series.time_unit) == (pytest.approx(0.01), "s")
     table.index = pd.Index(["Mon", "Tue", "Wed"], name="day")
-    assert engine.Series.from_frame(table, ["pressure"], units="names").dt == 1.0
+    assert engine.Series.from_frame(table, ["pressure"], ["valve"], units="names").dt == 1.0
 
 
+@pytest.mark.filterwarnings("ignore:times are converted")
 def test_numbers_as_text_are_converted_and_dates_are_not(table):
     table["t [ms]"] = ["0", "10", "20"]
     table["when [ms]"] = [f"2026-01-01 00:00:0{k}" for k in range(3)]
