@@ -30,7 +30,7 @@ from engine.simulation.other_minima import other_minimum, said_of
 from engine.simulation.own_steps import about_own_free_runs
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.starts import Progress, best_of_starts, speaks_at_its_end
-from engine.simulation.step_length import about_free_runs
+from engine.simulation.step_length import AWAY, about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -51,7 +51,6 @@ RUNS_AWAY = (
     "by maximum likelihood (rbps_em), which follows the readings. Else start elsewhere. What is said of its "
     "parameters means nothing."
 )
-AWAY = 2.0  # ranges of the readings
 ROUNDS = 3  # of fits, where parameters turn out to matter that did not at the start
 
 

@@ -24,6 +24,7 @@ SURELY = 0.3  # of a change that is small enough: advice is to hold after anothe
 ROUNDING = 1e-8  # of how a run varies: a change that is none ...
 LAST_DIGITS = 1e-12  # ... and of how far it is from zero
 NO_NOISE = 1e-4  # of how a run varies: a residual below that is taken for so much
+AWAY = 2.0  # ranges of the readings: a run further off than that has run away
 
 
 def run_at_samples(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
@@ -37,11 +38,13 @@ def run_at_samples(model: MixedModel, theta: Array, series: Series, x1: Array) -
 def change_of_run(series: Series, one: Array, other: Array) -> float:
     """By which share of its residual a run ``one`` (n, ny) at the samples differs from an ``other``.
 
-    Of the output where that is largest; NaN where a run is lost.
+    Of the output where that is largest; NaN where a run is lost. Where both run away, as those of a plant that
+    only its controller holds, the rows before are compared: what grows without end is different in any case.
     """
+    rows = slice(_both_away(series, one, other))
+    one, other, at = one[rows], other[rows], series.samples[rows]
     if not (np.isfinite(one).all() and np.isfinite(other).all()):
         return float("nan")
-    at = series.samples
     seen, left = series.observed[at], np.nan_to_num(series.y[at] - one)
     n = seen.sum(axis=0)
     change, varies = np.sqrt(np.mean((other - one) ** 2, axis=0)), one.std(axis=0)
@@ -51,6 +54,20 @@ def change_of_run(series: Series, one: Array, other: Array) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(change > none, change / residual, 0.0)
     return float(shares.max(initial=0.0))
+
+
+def _both_away(series: Series, one: Array, other: Array) -> int | None:
+    """The sample from which on every reading finds both runs away; None where they stay, or are so at once."""
+    y, told = series.y[series.samples], series.observed[series.samples]
+    moved = np.array([np.ptp(y[seen, i]) if seen.any() else 0.0 for i, seen in enumerate(told.T)])
+    told = told & (moved > 0.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        far = [~(np.abs(run - y) <= AWAY * moved) for run in (one, other)]
+    read, away = told.any(axis=1), (told & far[0] & far[1]).any(axis=1)
+    near = np.flatnonzero(read & ~away)
+    if not len(near) or near[-1] == np.flatnonzero(read)[-1]:
+        return None
+    return int(near[-1]) + 1
 
 
 def too_long(

@@ -11,7 +11,12 @@ from scipy.integrate import solve_ivp
 
 import engine
 from engine.models.oscillator import MODEL as OSCILLATOR
-from engine.simulation.step_length import about_free_runs, change_of_run, too_long
+from engine.simulation.step_length import (
+    about_free_runs,
+    change_of_run,
+    run_at_samples,
+    too_long,
+)
 
 TOO_LONG = "The model's steps are too long for these data: with 2 steps a sample "
 
@@ -80,6 +85,57 @@ def test_a_free_run_says_so_with_readings_and_without():
     wild = engine.Series(np.full(60, np.nan), dt=0.3)
     told = engine.free_run(model, truth, wild).note
     assert "Even series.refined(16) does not do" in told or advised(told) == 16
+
+
+def levitated(n=150, dt=0.01, k=200.0):
+    """A ball below a magnet, x'' = k (x / 2 + sin(50 x) / 100 + 2 u): it falls but for its controller."""
+    rng, x, ys, us = np.random.default_rng(0), np.array([0.02, 0.0]), [], []
+    before, h = 0.0, dt / 10.0
+    for _ in range(n):
+        y = x[0] + 1e-3 * rng.standard_normal()
+        u = -2.0 * before - 0.15 * x[1]
+        for _ in range(10):
+            x = x + h * np.array([x[1], k * (0.5 * x[0] + 0.01 * np.sin(50.0 * x[0]) + 2.0 * u)])
+            x[1] += np.sqrt(h) * 0.05 * rng.standard_normal()
+        before = y
+        ys.append(y)
+        us.append(u)
+    return engine.Series(np.array(ys), np.array(us), dt=dt)
+
+
+def test_runs_of_an_unstable_plant_are_compared_before_they_run_away():
+    def drift(a, u, t, th):
+        x = a[:, 0]
+        return [0.0, 200.0 * (0.5 * x + 0.01 * np.sin(50.0 * x) + 2.0 * u[0])], [[1.0], [-th.d]]
+
+    def initial(th):
+        return engine.Gaussian([0.02], [[1e-6]]), [0.0], [[1e-6]]
+
+    model = pendulum(name="levitated", drift=drift, initial=initial, inputs={"current": "1"})
+    series = levitated()
+    theta, x1 = model.theta({"d": 0.0}), np.array([0.02, 0.0])
+    runs = [run_at_samples(model, theta, series.refined(k), x1) for k in (1, 2)]
+    assert max(np.abs(run[:, 0]).max() for run in runs) > 1e3 * np.abs(series.y).max()
+    assert 0.0 < change_of_run(series, *runs) < 0.1
+    assert "steps" not in engine.free_run(model, theta, series).note
+
+
+def test_of_rows_where_both_runs_are_away_nothing_is_compared():
+    y = np.array([[0.0], [1.0], [0.0], [np.nan], [1.0], [0.0]])
+    one, grows = y.copy(), np.array([[0.0], [0.0], [3.0], [9.0], [50.0], [1e9]])
+    one[3] = 1.0
+    series = engine.Series(y)
+    off = one + 0.1
+    assert change_of_run(series, off + grows, off - grows) == pytest.approx(0.0)
+    # one of them alone, or both for a while, says that they differ
+    assert change_of_run(series, off + grows, off) > 0.5
+    grows[-1] = 0.0
+    assert change_of_run(series, off + grows, off - grows) > 0.5
+    # where none is near, all is compared
+    assert change_of_run(series, off + 10.0, off + 20.0) == pytest.approx(10.0 / 10.1, rel=0.01)
+    # no number is no nearer than what is far
+    grows[-1] = np.inf
+    assert change_of_run(series, off + grows, off - grows) == pytest.approx(0.0)
 
 
 def test_what_has_no_shorter_steps_or_needs_none_says_nothing():
