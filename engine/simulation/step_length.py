@@ -57,17 +57,23 @@ def change_of_run(series: Series, one: Array, other: Array) -> float:
 
 
 def _both_away(series: Series, one: Array, other: Array) -> int | None:
-    """The sample from which on every reading finds both runs away; None where they stay, or are so at once."""
+    """The sample from which on both runs are away at every reading; None where one stays, or is so at once.
+
+    Where they leave at about the same time it is that of the first: how far the other has got tells nothing.
+    """
     y, told = series.y[series.samples], series.observed[series.samples]
     moved = np.array([np.ptp(y[seen, i]) if seen.any() else 0.0 for i, seen in enumerate(told.T)])
     told = told & (moved > 0.0)
-    with np.errstate(invalid="ignore", over="ignore"):
-        far = [~(np.abs(run - y) <= AWAY * moved) for run in (one, other)]
-    read, away = told.any(axis=1), (told & far[0] & far[1]).any(axis=1)
-    near = np.flatnonzero(read & ~away)
-    if not len(near) or near[-1] == np.flatnonzero(read)[-1]:
-        return None
-    return int(near[-1]) + 1
+    read, leave = np.flatnonzero(told.any(axis=1)), []
+    for run in (one, other):
+        with np.errstate(invalid="ignore", over="ignore"):
+            away = (told & ~(np.abs(run - y) <= AWAY * moved)).any(axis=1)
+        near = read[~away[read]]
+        if not len(near) or near[-1] == read[-1]:
+            return None
+        leave.append(int(near[-1]) + 1)
+    first, last = sorted(leave)
+    return first if last - first <= FREE_RUN * last else last
 
 
 def too_long(

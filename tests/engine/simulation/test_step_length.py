@@ -131,11 +131,22 @@ def test_of_rows_where_both_runs_are_away_nothing_is_compared():
     assert change_of_run(series, off + grows, off) > 0.5
     grows[-1] = 0.0
     assert change_of_run(series, off + grows, off - grows) > 0.5
+    # one that leaves much earlier differs, too
+    late = np.where(np.arange(6)[:, None] < 4, 0.0, 1e9)
+    assert change_of_run(series, off + np.where(grows > 2.0, 1e9, 0.0), off + late) > 0.5
     # where none is near, all is compared
     assert change_of_run(series, off + 10.0, off + 20.0) == pytest.approx(10.0 / 10.1, rel=0.01)
     # no number is no nearer than what is far
     grows[-1] = np.inf
     assert change_of_run(series, off + grows, off - grows) == pytest.approx(0.0)
+
+
+def test_how_far_a_run_is_that_leaves_a_row_before_another_says_nothing():
+    y = np.sin(0.1 * np.arange(60))[:, None]
+    one = y + 0.1 + 4.0 * (np.arange(60) >= 50)[:, None]
+    other = y + 0.1 + 1e6 * (np.arange(60) >= 51)[:, None]
+    assert change_of_run(engine.Series(y), one, other) == pytest.approx(0.0)
+    assert change_of_run(engine.Series(y), other, one) == pytest.approx(0.0)
 
 
 def test_what_has_no_shorter_steps_or_needs_none_says_nothing():
