@@ -160,6 +160,7 @@ class Rate:
     of: tuple[str, ...]
 
 
+@np.errstate(all="ignore")  # of a law that grows fast the guessed points may be too far off
 def rates(model: MixedModel) -> dict[str, Rate]:
     """The states that are the rate of another one.
 

@@ -20,6 +20,7 @@ DIFFERENCED = 1e-9  # the same where steps of equations rest on differences by n
 FAR = 7.0  # times the size of a state: how far it is moved
 
 
+@np.errstate(all="ignore")  # of a law that grows fast the guessed points may be too far off
 def without_zero(model: MixedModel, dt: float) -> frozenset[str]:
     """The states, inputs and outputs of which the model does not care where they are counted from.
 
