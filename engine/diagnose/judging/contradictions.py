@@ -93,8 +93,8 @@ def _undetermined(refit: Refit, may: Sequence[str]) -> str:
 
 
 def _sentence(refit: Refit) -> str:
-    size = with_unit(refit.size, refit.effect.size.unit)
-    error = refit.standard_error
+    value, error = refit.sized
+    size = with_unit(value, refit.effect.size.unit)
     by = f"its standard error is {number(error)}" if np.isfinite(error) else "it has no error"
     return (
         f"{refit.effect.name} explains the data, but its size is not determined by them ({size}, "

@@ -9,6 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.refits.amplitude import amplitude_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.statespace.model import Array
@@ -45,7 +46,16 @@ class Refit:
     @property
     def is_sure(self) -> bool:
         """Whether the size may not as well be zero."""
-        return abs(self.size) >= LEAST_ERRORS * self.standard_error
+        size, error = self.sized
+        return abs(size) >= LEAST_ERRORS * error
+
+    @property
+    def sized(self) -> tuple[float, float]:
+        """The size and its standard error, of a wave its amplitude: one of its parts may be zero."""
+        amplitude, error = amplitude_of(self.effect, self.fit)
+        if amplitude is None or error is None:
+            return self.size, self.standard_error
+        return amplitude, error
 
 
 def weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refit:

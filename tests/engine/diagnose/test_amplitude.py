@@ -13,6 +13,7 @@ from engine.diagnose.effects.of_series import setting_for
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.refits.amplitude import amplitude_of
 from engine.diagnose.refits.refit import refit
+from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.screening.screen import Score
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.presentation.cause_sentences import headline
@@ -103,6 +104,15 @@ def test_the_error_is_that_of_the_delta_method():
     assert amplitude_of(effect, none) == pytest.approx((0.0, np.nan), nan_ok=True)
     tied = replace(both, information=np.array([[1.0, 1.0], [1.0, 1.0]]))
     assert amplitude_of(effect, tied) == (5.0, np.inf)
+
+
+def test_a_wave_is_as_sure_as_its_amplitude_where_one_of_its_parts_is_zero():
+    effect = make_effect("harmonic:speed", Setting(DRIVE))
+    names = ("harmonic_speed", "harmonic_speed_sine")
+    wave = Refit(effect, fit(names, 0.04 * np.eye(2), 0.1, 4.0), 50.0, 40.0)
+    assert wave.is_sure
+    assert wave.sized == pytest.approx(amplitude_of(effect, wave.fit))
+    assert not Refit(effect, fit(names, 0.04 * np.eye(2), 0.1, 0.1), 1.0, 0.0).is_sure
 
 
 def test_what_is_no_wave_has_no_amplitude():
