@@ -191,6 +191,7 @@ def test_pandas_tables_bring_names_and_times():
         (None, None, ""),
     ],
 )
+@pytest.mark.filterwarnings("ignore:the index goes from")  # as two of these do
 def test_rows_of_pandas_tables_are_those_of_one_index(index, other, said):
     pandas = pytest.importorskip("pandas")
     dates = pandas.date_range("2026-01-01", periods=4, freq="s")
