@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
-from engine.data.channels import check_channels, default_names
+from engine.data.channels import check_channels
 from engine.data.clock import (
     about_index,
     about_name,
@@ -23,6 +23,7 @@ from engine.data.clock import (
     index_of,
     times_of,
 )
+from engine.data.columns import columns_of, names_of, own_names
 from engine.data.doubts import doubts_of
 from engine.data.hold import HOLDS, between, means, over_steps
 from engine.errors import OptionError, ReadingWarning, SeriesError
@@ -119,13 +120,13 @@ class Series(Shown):
             t = index_of((y, u))
         counted = t is None
         y_names, u_names, extra_names = (
-            _own_names(values) if names is None else names
+            own_names(values) if names is None else names
             for values, names in ((y, y_names), (u, u_names), (extra, extra_names))
         )
-        y_ = _columns(y, "y")
+        y_ = columns_of(y, "y")
         T = y_.shape[0]
-        u_ = np.zeros((T, 0)) if u is None else _columns(u, "u")
-        extra_ = np.zeros((T, 0)) if extra is None else _columns(extra, "extra")
+        u_ = np.zeros((T, 0)) if u is None else columns_of(u, "u")
+        extra_ = np.zeros((T, 0)) if extra is None else columns_of(extra, "extra")
         if hold not in HOLDS:
             raise OptionError(f"hold = {hold!r}; one of {', '.join(HOLDS)} is needed", "hold")
         if not isinstance(time_unit, str) or not TIME_UNIT.fullmatch(time_unit.strip()):
@@ -141,9 +142,9 @@ class Series(Shown):
                     f"{name} has {values.shape[0]} rows and y has {T}; they must be equal"
                 )
         set_ = object.__setattr__
-        set_(self, "y_names", _names(y_names, y_.shape[1], "y"))
-        set_(self, "u_names", _names(u_names, u_.shape[1], "u"))
-        set_(self, "extra_names", _names(extra_names, extra_.shape[1], "extra"))
+        set_(self, "y_names", names_of(y_names, y_.shape[1], "y"))
+        set_(self, "u_names", names_of(u_names, u_.shape[1], "u"))
+        set_(self, "extra_names", names_of(extra_names, extra_.shape[1], "extra"))
         for row, column in np.argwhere(np.isinf(y_))[:1]:
             raise SeriesError(
                 f"y is infinite at row {row}, channel '{self.y_names[column]}'; "
@@ -456,47 +457,3 @@ class Series(Shown):
         from engine.data.files import read_records
 
         return read_records(path, by, **options)
-
-
-def _columns(values: ArrayLike, name: str) -> Array:
-    if _holds_dates(values):
-        raise SeriesError(f"{name} holds dates or durations, no numbers: only times may be such")
-    try:
-        if np.iscomplexobj(values):
-            raise ValueError("they are complex")
-        # by rows, whoever made them, as a frame has them by columns: kernels are compiled for each layout
-        array = np.array(values, dtype=float, order="C")
-        if isinstance(values, np.ma.MaskedArray):  # NumPy keeps what is behind the mask
-            array[np.ma.getmaskarray(values)] = np.nan
-    except (TypeError, ValueError) as error:
-        raise SeriesError(f"{name} is not a table of numbers (T, n{name}): {error}") from error
-    if array.ndim == 1:
-        array = array[:, None]
-    if array.ndim != 2:
-        raise SeriesError(f"{name} has shape {array.shape}; (T, n{name}) is needed")
-    return array
-
-
-def _holds_dates(values: Any) -> bool:
-    """Whether a column of a table, or an array, is of dates or durations, which NumPy turns into numbers."""
-    columns = getattr(values, "dtypes", None)  # of a table each has its own
-    kinds = [values] if columns is None or not hasattr(columns, "__iter__") else columns
-    found = [getattr(getattr(one, "dtype", one), "kind", "") for one in kinds]
-    return any(kind in ("m", "M") for kind in found)
-
-
-def _names(names: Sequence[str] | None, n: int, prefix: str) -> tuple[str, ...]:
-    if names is None:
-        return default_names(n, prefix)
-    if len(names) != n:
-        raise SeriesError(f"{len(names)} names were given for {n} channels of {prefix}")
-    return tuple(names)
-
-
-def _own_names(values: Any) -> tuple[str, ...] | None:
-    """Names of a pandas table's columns, or of the one column it is, where it has any."""
-    columns = getattr(values, "columns", None)
-    if columns is not None:
-        return tuple(map(str, columns))
-    name = getattr(values, "name", None) if hasattr(values, "index") else None
-    return None if name is None else (str(name),)

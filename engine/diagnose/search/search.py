@@ -73,9 +73,10 @@ LATER = 0.1  # of alpha, for screens after the first, as each round is a new cha
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
 ANEW = "another beginning"  # the stage of a search that begins with another effect
 TWICE = 0.5  # of that stage, for the search without simulations, and for the one with them
+PASSES = 3  # of taking outliers out: what follows one is judged again without it
+
 # Whether the search ends with what was found so far, as it is to be done anew.
 Ends = Callable[[Search], bool]
-PASSES = 3  # of taking outliers out: what follows one is judged again without it
 
 
 def search(  # noqa: PLR0913
@@ -97,7 +98,7 @@ def search(  # noqa: PLR0913
 
     What came first decides what is found beside it. So where several are found, another beginning is tried.
     And with fewer than ``enough`` steps a sample the search ends where shorter ones may decide what came first.
-    So it does behind a round at which what was found so far ``ends`` it.
+    So it does after a round where ``ends``, asked of what was found so far, says so.
     """
     look = partial(
         _one_after_the_other,
