@@ -141,8 +141,8 @@ def diagnose(  # noqa: PLR0913
         The data: y (T, ny) with NaN where missing, u (T, nu), times. Several records are searched together,
         each with a first state of its own. The likelihood takes those that are sampled like the longest and
         begin where the model says, the free run all. The page shows the longest. Where their clocks overlap
-        and the model reads none, they are taken in turn (:func:`engine.in_turn`), and a note says so if what
-        is found comes with time.
+        and the model reads none, they are taken in turn (:func:`engine.in_turn`), unless something that came at
+        one time of all their clocks explains more. A note says which if what is found comes with time.
     theta : Theta, mapping, array or None
         Start values (n_theta,); where None, they are searched for.
     test : Series or sequence of Series, optional
@@ -297,7 +297,13 @@ def diagnose(  # noqa: PLR0913
         tested = [score.effect for score in causes.search.rounds[0].screen.scores]
         unsearched = begins_unsearched(causes.base, whole, cut, tested, alpha, seed)
 
-    if records.in_turn and any(cause.where == "time" for cause in judged.causes):
+    timed = any(cause.where == "time" for cause in judged.causes)
+    if records.in_turn and timed and not fine.records.in_turn:
+        notes.append(
+            "The clocks of the records overlap. That it came at one time in all of them explains more than "
+            "that it came in one, so times are those of the records as they were given."
+        )
+    elif records.in_turn and timed:
         others = sorted(
             zip(records.numbers[1:], fine.records.others, strict=True), key=itemgetter(0)
         )

@@ -145,6 +145,7 @@ class HeldOut:
             [cause.effect for cause in named],
             [cause.effect for cause in named if cause.where == "noise"],
             [next(iter(cause.parameters)) for cause in named if cause.where != "parameter"],
+            [name for cause in named for name in cause.parameters if name.endswith("_frequency")],
         )
         if word is None:
             return judged

@@ -35,7 +35,7 @@ class Records:
 
     ``share`` of the main record is kept back where there are no tests. ``kept_back`` are those of the records
     given that are tests as no others were; ``numbers`` tells which were given as the main one and the others.
-    ``in_turn``: all but the tests are on another clock than they were given on, on which no two overlap.
+    Where ``others_as_given`` are there, the others are on another clock than that, on which no two overlap.
     """
 
     main: Series
@@ -44,7 +44,18 @@ class Records:
     share: float = HELD_OUT
     kept_back: tuple[int, ...] = ()
     numbers: tuple[int, ...] = (0,)
-    in_turn: bool = False
+    others_as_given: tuple[Series, ...] = ()
+
+    @property
+    def in_turn(self) -> bool:
+        """Whether the others are on another clock than they were given on."""
+        return bool(self.others_as_given)
+
+    def as_given(self) -> Records:
+        """All on the clocks that they were given on."""
+        return (
+            replace(self, others=self.others_as_given, others_as_given=()) if self.in_turn else self
+        )
 
     @property
     def every(self) -> tuple[Series, ...]:
@@ -114,6 +125,7 @@ class Records:
             self,
             main=self.main.refined(k),
             others=tuple(one.refined(k) for one in self.others),
+            others_as_given=tuple(one.refined(k) for one in self.others_as_given),
             tests=tuple(one.refined(k) for one in self.tests),
         )
 
@@ -162,11 +174,12 @@ def records_of(
     check_apart(given, tests)
     back = () if tests else whole_records(given, held_out)
     tests += [given[k] for k in back]
-    given, moved = on_one_clock(model, given)
-    numbers = tuple(k for k in by_length(given) if k not in back)
-    main, *others = (given[k].with_extra_inputs() for k in numbers)
+    on_one, moved = on_one_clock(model, given)
+    numbers = tuple(k for k in by_length(on_one) if k not in back)
+    main, *others = (on_one[k].with_extra_inputs() for k in numbers)
+    as_given = (*(given[k].with_extra_inputs() for k in numbers[1:] if moved),)
     apart = tuple(one.with_extra_inputs().check(model) for one in tests)
-    return model, Records(main, tuple(others), apart, held_out, back, numbers, moved)
+    return model, Records(main, tuple(others), apart, held_out, back, numbers, as_given)
 
 
 def on_one_clock(model: MixedModel, given: list[Series]) -> tuple[list[Series], bool]:

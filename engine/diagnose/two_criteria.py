@@ -33,6 +33,7 @@ from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.judgement import ENOUGH, NAMES
 from engine.diagnose.records import ELSEWHERE, TOO_LONG, Records, others_left
 from engine.diagnose.refits.checkpoint import Kept
+from engine.diagnose.search.common_clock import came_in_all
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.steps.substeps import Prepared, are_too_long, steps_for
 from engine.errors import EngineError
@@ -128,8 +129,13 @@ def _with_these_steps(
         if searched is train:
             searched, left = _with_others(model, theta, start, options.free, fine.records, kept)
             # what one short record says may lie far along a ridge that all of them close
-            start = theta if searched.begins else start
+            own, start = start, theta if searched.begins else start
             fine.records.check_enough(searched, left)
+            if fine.records.in_turn and searched.begins:
+                as_given = fine.records.as_given()
+                there, _ = _with_others(model, theta, own, options.free, as_given, kept)
+                if _at_once(model, searched, there, start, options, kept):
+                    fine, searched = replace(fine, records=as_given), there
         notes.append(_of_records(fine.records, 1 + len(searched.begins), left))
     if thinned_by(searched, train):
         setting = setting_for(model, searched, np.asarray(model.theta(start)))
@@ -206,6 +212,19 @@ def _with_others(
     fit = own.fit(model, partial(fit_base, model, records.train, start, free))
     said = partial(begins_as_said, model, model.theta(given), fit.theta)
     return records.searched(said, STRETCH)
+
+
+def _at_once(
+    model: MixedModel,
+    in_turn: Series,
+    as_given: Series,
+    start: ThetaLike,
+    options: Options,
+    kept: Kept,
+) -> bool:
+    """Whether something came in all records at one time of their clocks."""
+    fit = kept.fit(model, partial(fit_base, model, in_turn, start, options.free))
+    return came_in_all(fit, in_turn, as_given, options.effects, options.alpha, options.seed)
 
 
 def _of_records(records: Records, taken: int, left: Mapping[str, int]) -> str:

@@ -107,13 +107,15 @@ def word_of_records(
     named: Sequence[str],
     noises: Sequence[str],
     sizes: Sequence[str] = (),
+    frequencies: Sequence[str] = (),
 ) -> Word | None:
     """What the records of ``series`` say of one set of parameters for all, beside what was ``named``.
 
     None where one will do. ``noises`` are those among the names that are of the noise: they are what such a
     difference looks like, and not trusted beside it. Another name is not where the records' own values alone
     explain more, by the measure of Schwarz (1978), nor where its size, among ``sizes``, has one sign in some
-    records and surely the other one in others: what grows here and decays there is no cause of both.
+    records and surely the other one in others: what grows here and decays there is no cause of both. Nor is a
+    wave where one of its ``frequencies`` is not the same in all.
     """
     own = own_values(after if named else before, series)
     if own is not None and noises:
@@ -140,6 +142,9 @@ def word_of_records(
                 f"In some records {opposite} is surely above 0, in others below: no cause is named."
             )
             return Word(f"{said} {either}", True, short)
+        elif not set(own.names).isdisjoint(frequencies):
+            waves = "A wave that they share has one frequency, so no cause is named."
+            return Word(f"{said} {waves}", True, short)
         else:
             common = "The sizes of what was found are those of a common fit."
             return Word(f"{said} {common}", False, short)

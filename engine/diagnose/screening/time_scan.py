@@ -9,11 +9,13 @@ from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.joined import anew, apart, starts_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.kinds.bend import bend
+from engine.diagnose.effects.of_series import later_of
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
 from engine.diagnose.screening.episodes import Window, near, promising, strides
@@ -92,21 +94,21 @@ def _episode_test(
     tested: Callable[[Sequence[tuple[float, ...]], Array], Test | None],
 ) -> Test | None:
     """The test of what begins and is over again: of windows that promise most, and of more near the best."""
-    rows = series.samples
-    scores, information = (np.add.reduceat(x, rows) for x in of_rows)
-    begins, n = np.searchsorted(rows, series.begins).tolist(), len(rows)
+    times, at_time = by_time(series)
+    scores, information = (_summed(x, at_time) for x in of_rows)
+    begins = np.searchsorted(times, later_of(apart(series))).tolist()
+    n = len(times)
 
     def gates(windows: Sequence[Window]) -> Array:
-        out = np.zeros((len(series), len(windows)))
-        for k, (begin, end) in enumerate(windows):
-            out[rows[begin] : rows[end], k] = 1.0
-        return out
+        first, end = np.array(windows).T
+        inside = (at_time[:, None] >= first) & (at_time[:, None] < end)
+        return np.asarray(inside, dtype=float)
 
     def known(windows: Sequence[Window]) -> Array:
         return information_of(gates(windows))
 
     def test_of(windows: Sequence[Window]) -> Test | None:
-        at = [(float(series.t[rows[begin]]), float(series.t[rows[end]])) for begin, end in windows]
+        at = [(float(times[begin]), float(times[end])) for begin, end in windows]
         return tested(at, gates(windows)) if windows else None
 
     def best_of(windows: Sequence[Window], test: Test) -> Window:
@@ -124,6 +126,20 @@ def _episode_test(
             return None
         best = best_of(windows, test)
     return test.best_of(max(1, int(tries)))
+
+
+def by_time(series: Series) -> tuple[Array, NDArray[np.intp]]:
+    """The times of samples in order, each once, and which of them each row (T,) is at or last after.
+
+    What comes at a time comes in all records whose clocks hold it.
+    """
+    times = np.unique(series.t[series.samples])
+    return times, np.searchsorted(times, series.t, side="right") - 1
+
+
+def _summed(each: Array, at_time: NDArray[np.intp]) -> Array:
+    """What rows (T,) have, summed at each time."""
+    return np.asarray(np.bincount(at_time, each), dtype=float)
 
 
 def grid(effect: Effect, series: Series) -> Array:
@@ -166,16 +182,16 @@ def _gates(
         run = (anew(t, starts_of(apart(series))) - middle) / per
         return list(effect.probes), bend(run, np.array([k for k, *_ in effect.probes])), 1
     if effect.traits.course is Course.PULSE:
+        times, at_time = by_time(series)
         scores, information = (
-            np.add.reduceat(x, series.samples)  # a pulse lasts a sample
+            _summed(x, at_time)  # a pulse lasts a sample
             for x in pulse_scores(path, series, b, e)
         )
         explained = np.divide(scores**2, information, where=information > 0.0, out=0.0 * scores)
-        rows = np.arange(len(explained))[reached(effect, model)]
-        row = int(series.samples[rows[int(np.argmax(explained[rows]))]])
-        gate = np.zeros((len(series), 1))
-        gate[row : row + series.substeps] = 1.0
-        return [(float(series.t[row]), *effect.probes[0][1:])], gate, series.n_measured
+        within = np.arange(len(explained))[reached(effect, model)]
+        place = int(within[int(np.argmax(explained[within]))])
+        gate = (at_time == place).astype(float)[:, None]
+        return [(float(times[place]), *effect.probes[0][1:])], gate, series.n_measured
     points = grid(effect, series)
     if effect.traits.course is Course.HARMONIC:
         tries = len(points)

@@ -135,16 +135,18 @@ def test_a_name_beside_which_records_differ(monkeypatch):
     after = SimpleNamespace(free=["g", "linear_w"], log_likelihood=10.0)
     series = SimpleNamespace(n_measured=100)
 
-    def word(beside, without, sizes=("linear_w",)):
+    def word(beside, without, sizes=("linear_w",), frequencies=()):
         said = {"before": without, "after": beside}
         monkeypatch.setattr(
             by_record, "own_values", lambda fit, _: said["before" if fit is before else "after"]
         )
-        return word_of_records(before, after, series, [0, 1], ["linear:w"], [], sizes)
+        named = ["linear:w"]
+        return word_of_records(before, after, series, [0, 1], named, [], sizes, frequencies)
 
     assert "surely above 0, in others below" in word(own, None).sentence
     assert word(own, None).refutes
     assert not word(own, None, ()).refutes
+    assert word(own, None, (), ["linear_w"]).refutes  # a wave has one frequency in all
     assert word(None, None) is None
     assert word(None, replace(own, names=("g",))).refutes  # 30 gained without it, 20 by it
     assert word(None, replace(own, gain=20.0)) is None
