@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.arrays import Array
+from engine.data.rounded_times import rounded_times
 
 HOUR, DAY = 3600.0, 86400.0
 SUNDAY = 6
@@ -28,13 +29,14 @@ YEARS = (1800, 2200)  # of dates in a number
 def doubts_of(told: Any, times: Array, unit: str) -> list[str]:
     """Notes of times (T,) that may be others; ``told`` are they as given, and ``times`` count a ``unit``."""
     dates = _dates(told)
+    rounded = rounded_times(times, unit)
     if dates:
-        found = [set_forward(dates)]
+        found = [set_forward(dates), rounded]
     elif np.asarray(told).dtype.kind == "m":
-        return []
+        found = [rounded]
     else:
         counted = (days_of_spreadsheet, since_1970) if unit in ("", "s") else ()
-        found = [doubt(times) for doubt in (*counted, digits_of_a_clock)]
+        found = [doubt(times) for doubt in (*counted, digits_of_a_clock)] + [rounded]
     return [said for said in found if said]
 
 

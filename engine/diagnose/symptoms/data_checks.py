@@ -19,6 +19,7 @@ from engine.data.faults import (
 )
 from engine.data.gaps import inputs_over_gaps
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
+from engine.data.rounded_times import rounded_times
 from engine.data.series import Series
 from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel
@@ -81,7 +82,8 @@ def _times(series: Series) -> list[str]:
     )
     if steps[longest] > 5.0 * middle:
         text += f", the longest after t = {moment(float(series.t[longest]), shortest, series.time_unit)}"
-    return [f"{text}; spectra are not shown."]
+    rounded = rounded_times(series.t[series.samples], series.time_unit) if not series.begins else ""
+    return [f"{text}; spectra are not shown.", *([f"The {rounded}"] if rounded else [])]
 
 
 def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:

@@ -1,0 +1,63 @@
+"""Times of an even clock that were written with too few digits."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.files import read_series
+from engine.data.rounded_times import rounded_times
+from engine.diagnose.symptoms.data_checks import check_data
+from engine.errors import ReadingWarning
+
+
+def clock(n, dt, digits, first=0.0, gap=0, cut=False):
+    rows = np.arange(n) + gap * (np.arange(n) > n // 2)
+    times = first + dt * rows
+    return np.floor(times * 10.0**digits + 1e-9) / 10.0**digits if cut else times.round(digits)
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize("gap", [0, 37])
+@pytest.mark.parametrize("first", [0.0, 0.0123, 1.7e9])
+@pytest.mark.parametrize(("dt", "digits"), [(1 / 30, 2), (1 / 60, 3), (10 / 3, 0), (100 / 3, -1)])
+def test_an_even_step_is_found_whatever_the_unit_and_the_zero(dt, digits, first, gap, cut):
+    said = rounded_times(clock(300, dt, digits, first, gap, cut), "s")
+    assert f"rounded to {10.0**-digits:g} s" in said
+    step = float(said.partition("dt=")[2].partition(" ")[0])
+    assert step == pytest.approx(dt, abs=1.1 * 10.0**-digits / 300.0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_clock_that_is_not_even_is_left_alone(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(10, 300))
+    by_chance = np.cumsum(rng.uniform(0.5, 1.5, n)).round(1)
+    late = (np.arange(n) + rng.uniform(-0.2, 0.2, n)).round(2)
+    assert not rounded_times(by_chance, "s")
+    assert not rounded_times(late, "s")
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        0.1 * np.arange(100),
+        np.linspace(0.0, 1.0, 31),
+        np.append(np.arange(50.0), 90.0 + np.arange(50.0)),
+        60.0 * np.append(np.arange(10), 71 + np.arange(5)),
+        np.cumsum(np.tile([31.0, 28.0, 31.0, 30.0, 31.0, 30.0], 6)),  # months, in days
+    ],
+)
+def test_nor_one_that_is_even_has_gaps_or_counts_months(times):
+    assert not rounded_times(times, "s")
+
+
+def test_a_table_and_a_diagnosis_say_so(tmp_path):
+    t = clock(100, 1 / 30, 2)
+    y = np.sin(t)
+    path = tmp_path / "camera.csv"
+    path.write_text("t,y\n" + "\n".join(f"{a},{b}" for a, b in zip(t, y, strict=True)))
+    with pytest.warns(ReadingWarning, match=r"one even step of 0\.0333 "):
+        series = read_series(path, ["y"])
+    model = engine.get_model("local-level")
+    assert any("steps are of 0.03 and 0.04 s" in note for note in check_data(model, series))
+    assert not any("rounded" in note for note in check_data(model, engine.Series(y, dt=1 / 30)))
