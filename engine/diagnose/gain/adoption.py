@@ -142,7 +142,7 @@ def _set_back(log_density: float, outputs: Sequence[OutputGain]) -> list[OutputG
         return []
     better = runs_changed(outputs)[0]
     further = [o for o in outputs if o.difference > RUN_SHARE * o.rmse_before and not ran_away(o)]
-    return [o for o in further if o not in better and _tells(o)]
+    return [o for o in further if o not in better and _tells(o, len(outputs))]
 
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
@@ -152,7 +152,7 @@ def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[
     worse for being a little further off; nor is one that by the extended model's own noise would often be.
     """
     better, worse = _changed(outputs)
-    return better, [o for o in worse if _tells(o)]
+    return better, [o for o in worse if _tells(o, len(outputs))]
 
 
 def _changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
@@ -168,14 +168,15 @@ def ran_away(o: OutputGain) -> bool:
     return o.fit_before < RAN_AWAY and o.fit_after < RAN_AWAY
 
 
-def _tells(o: OutputGain) -> bool:
-    """Whether a free run that is worse says something."""
+def _tells(o: OutputGain, n: int) -> bool:
+    """Whether a free run that is worse, one of ``n``, says something."""
     far = not o.fit_before < TELLING_FIT or o.rmse_after > TELLING_LOSS * o.rmse_before
-    return far and not _by_noise(o)
+    return far and not _by_noise(o, n)
 
 
-def _by_noise(o: OutputGain) -> bool:
-    return o.as_worse is not None and o.as_worse > TEST_LEVEL
+def _by_noise(o: OutputGain, n: int) -> bool:
+    """Whether one of ``n`` outputs is worse by no more than noise makes one of them: each is a chance."""
+    return o.as_worse is not None and o.as_worse > TEST_LEVEL / n
 
 
 def in_short(gain: Gain, named: bool = True) -> str:
@@ -218,8 +219,9 @@ def in_full(gain: Gain, named: bool = True) -> str:
         for o in runs_changed(gain.outputs)[0]
     ]
     but = "" if predicts else f"; {_one_step(gain)}"
-    aside = [o for o in _changed(gain.outputs)[1] if not _tells(o)]
-    noise = [o for o in aside if _by_noise(o)]
+    n = len(gain.outputs)
+    aside = [o for o in _changed(gain.outputs)[1] if not _tells(o, n)]
+    noise = [o for o in aside if _by_noise(o, n)]
     constant = [o for o in aside if o not in noise]
     if noise:
         but += f"; {enumerated(_runs(noise))}, as noise alone would often have it"

@@ -157,6 +157,10 @@ def test_what_is_gained_from_row_to_row_alone_does_not_speak_for_a_name():
     assert runs_worse(replace(worse, outputs=(*worse.outputs, another)), ["harmonic:y"], []) == ""
     by_noise = replace(worse.outputs[0], as_worse=0.3)
     assert runs_worse(replace(worse, outputs=(by_noise,)), ["harmonic:y"], []) == ""
+    seldom, same = replace(by_noise, as_worse=0.03), replace(output(1.0, (-0.1, 0.1)), output="v")
+    for others, refuted in (((), True), ((same,), False)):  # one in 33 of either of two
+        outputs = (seldom, *others)
+        assert bool(runs_worse(replace(worse, outputs=outputs), ["harmonic:y"], [])) is refuted
 
 
 @dataclass(frozen=True, eq=False)
