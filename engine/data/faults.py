@@ -15,6 +15,7 @@ from engine.arrays import Array
 from engine.data.gaps import inputs_over_gaps
 from engine.data.lattice import FEWEST_LEVELS, lattice_step
 from engine.data.repeats import repeated
+from engine.data.rounded_times import rounded_times
 from engine.data.series import Series
 from engine.data.stuck import stuck_at_times
 from engine.words import enumerated, moment, number, percent, with_unit
@@ -42,7 +43,15 @@ def faults_of(
     for (name, unit), u in zip(inputs.items(), series.u.T, strict=True):
         notes += marks_among_inputs(name, unit, u)
     notes += inputs_over_gaps(inputs, series)
-    return (*notes, *identical(outputs, series))
+    return (*notes, *identical(outputs, series), *times_too_short(series))
+
+
+def times_too_short(series: Series) -> list[str]:
+    """A sentence where times are those of an even clock with too few digits."""
+    if series.dt is not None or series.begins:
+        return []
+    told = rounded_times(series.t[series.samples], series.time_unit)
+    return [f"The {told}"] if told else []
 
 
 def about_faults(

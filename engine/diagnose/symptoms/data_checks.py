@@ -15,11 +15,11 @@ from engine.data.faults import (
     longest_stretch,
     marks_among_inputs,
     single_outliers,
+    times_too_short,
     without_marks,
 )
 from engine.data.gaps import inputs_over_gaps
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
-from engine.data.rounded_times import rounded_times
 from engine.data.series import Series
 from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel
@@ -82,8 +82,7 @@ def _times(series: Series) -> list[str]:
     )
     if steps[longest] > 5.0 * middle:
         text += f", the longest after t = {moment(float(series.t[longest]), shortest, series.time_unit)}"
-    rounded = rounded_times(series.t[series.samples], series.time_unit) if not series.begins else ""
-    return [f"{text}; spectra are not shown.", *([f"The {rounded}"] if rounded else [])]
+    return [f"{text}; spectra are not shown.", *times_too_short(series)]
 
 
 def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:

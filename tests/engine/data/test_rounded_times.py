@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import engine
+from engine.data.faults import about_faults
 from engine.data.files import read_series
 from engine.data.rounded_times import rounded_times
 from engine.diagnose.symptoms.data_checks import check_data
@@ -60,4 +61,5 @@ def test_a_table_and_a_diagnosis_say_so(tmp_path):
         series = read_series(path, ["y"])
     model = engine.get_model("local-level")
     assert any("steps are of 0.03 and 0.04 s" in note for note in check_data(model, series))
+    assert "rounded to 0.01 s" in about_faults(model.outputs, model.inputs, [series])
     assert not any("rounded" in note for note in check_data(model, engine.Series(y, dt=1 / 30)))
