@@ -15,9 +15,7 @@ LEAST_ROWS = 10  # below which an uneven clock may look so by chance
 TELLING = 0.02  # of the step, from which the rounding tells
 COARSEST = 0.5  # of it, beyond which a longer step may be a gap
 DIGITS = range(-3, 10)  # at which times may be rounded, behind the point
-ONE_OFF = (
-    1.05  # of the rounding, by which times may lie around an even clock: its step is estimated
-)
+ONE_OFF = 1.05  # of the rounding, within which times lie around a clock whose step is estimated
 LONG = 1.5  # usual steps: a gap
 MOST_DIGITS = 12  # of the step
 

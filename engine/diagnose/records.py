@@ -53,9 +53,9 @@ class Records:
 
     def as_given(self) -> Records:
         """All on the clocks that they were given on."""
-        return (
-            replace(self, others=self.others_as_given, others_as_given=()) if self.in_turn else self
-        )
+        if not self.in_turn:
+            return self
+        return replace(self, others=self.others_as_given, others_as_given=())
 
     @property
     def every(self) -> tuple[Series, ...]:

@@ -18,12 +18,13 @@ from engine.diagnose.screening.screening import screen_effects
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 
-PLACED = (
+PLACED = {
     Course.STEP,
     Course.PULSE,
     Course.EPISODE,
     Course.HARMONIC,
-)  # the others count anew in each record
+}  # others count anew in a record
+SURE = 0.2  # of the level: a second clock is a second chance of a false alarm
 
 
 def came_in_all(
@@ -45,12 +46,12 @@ def came_in_all(
     kinds : sequence of str or None
         Effects that are looked for.
     alpha : float
-        The level at which something is seen at all; what is not seen leaves them in turn.
+        Probability of a false alarm. What is not clearer than a part of it leaves them in turn.
     seed : int
         Of the screens.
     """
     all_at_once = _most(fit, as_given, kinds, alpha, seed)
-    if all_at_once is None or all_at_once[0] > alpha:
+    if all_at_once is None or all_at_once[0] > SURE * alpha:
         return False
     in_one = _most(fit, in_turn, kinds, alpha, seed)
     return in_one is None or all_at_once[1] < in_one[1]
