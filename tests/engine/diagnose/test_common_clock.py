@@ -12,6 +12,8 @@ from engine.diagnose.screening.time_scan import family_test
 from engine.diagnose.search.common_clock import came_in_all
 from engine.diagnose.search.pipeline import fit_base
 from engine.filters.sigma_point import moment_path
+from engine.presentation.diagnosis_document import as_dict
+from service.validation import load
 from tests.engine.diagnose.test_records_in_turn import DT, VESSEL
 
 KINDS = ["step", "episode", "harmonic", "pulse"]
@@ -97,9 +99,8 @@ def test_the_screen_is_that_of_the_extended_model(effect):
 @pytest.mark.long
 @pytest.mark.parametrize("begins", [(0.0, 0.0, 0.0), (0.0, 30 * DT, 12 * DT)])
 def test_a_diagnosis_tells_its_time_by_the_clocks_as_given(begins):
-    found = engine.diagnose(
-        VESSEL, records(1, [step] * 3, begins), effects=[*KINDS, "bias"], seed=0
-    )
+    given = records(1, [step] * 3, begins)
+    found = engine.diagnose(VESSEL, given, effects=[*KINDS, "bias"], seed=0)
     (cause,) = found.causes
     assert cause.effect == "step:T"
     assert found.theta["step_T_time"] == pytest.approx(WHEN, abs=6.0 * DT)
@@ -107,3 +108,7 @@ def test_a_diagnosis_tells_its_time_by_the_clocks_as_given(begins):
     assert any("at one time in all of them" in note for note in found.notes)
     assert not any("came after the other" in note for note in found.notes)
     assert found.later == ()
+    model = as_dict(found)["extension"]["model"] | {"name": "servo", "with": ["step:y"]}
+    series = [{"y": one.y.tolist(), "u": one.u.tolist(), "t": one.t.tolist()} for one in given]
+    made = load({"kind": "estimate", "model": model, "series": series})  # as a job of the extension
+    assert [one.t[0] for one in made.series] == list(begins)
