@@ -9,6 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.channels import Kind, at_parameters
+from engine.diagnose.effects.differences import value_of
 from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.kinds.time import (
     during,
@@ -79,8 +80,9 @@ def stopped_share(effect: Effect, model: MixedModel, theta: Theta, series: Serie
     own = [theta[p.name] for p in effect.parameters]
     signals = series.u.T
     if effect.family == "state":  # as the filter sees it
-        row = [*model.nonlinear, *model.linear].index(source)
-        signals = moment_path(model, np.asarray(theta), series).filtered.T[row]
+        states = moment_path(model, np.asarray(theta), series).filtered.T
+        channels = [*model.nonlinear, *model.linear, *model.inputs]
+        signals = value_of(source, dict(zip(channels, [*states, *series.u.T], strict=True)))
     value = theta[name] + np.broadcast_to(effect.runs(series.t, signals, own), len(series))
     return float(np.mean((value < low) | (value > high)))
 

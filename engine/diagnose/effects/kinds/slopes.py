@@ -1,16 +1,18 @@
-"""Parameters that depend on an input or on a state: in proportion to its distance from its middle."""
+"""Parameters that depend on an input, on a state or on how far two are apart, from the middle of it on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.diagnose.effects.channels import Kind
-from engine.diagnose.effects.effect import Effect, Split, on_base
+from engine.diagnose.effects.differences import parts_of, value_of, weighed_differences
+from engine.diagnose.effects.effect import Effect, Split, on_base, signals
 from engine.diagnose.effects.kinds.odds import only_drives
 from engine.diagnose.effects.kinds.parameters import ONTO, running_parameter, unit_of
 from engine.diagnose.effects.rates import ROUNDING_SHARE, Points, slopes_by
@@ -28,17 +30,19 @@ ALIKE = 0.02  # of it: what a function of one channel may leave, and be all of i
 def _slope(setting: Setting, channel: str) -> Effect | None:
     """``signal->parameter``: a loss that grows with the wind, a resistance that depends on the temperature."""
     source, _, target = channel.partition(ONTO)
-    of_state = source in setting.states
-    if not (of_state or source in setting.model.inputs):
+    parts = parts_of(source, [*setting.states, *setting.model.inputs])
+    of_state = any(part in setting.states for part in parts)
+    if not parts or (len(parts) > 1 and not of_state):
         return None
     if target not in setting.model.parameter_names:
         return None
-    name = setting.identifier("parameter-slope", channel)
-    unit = setting.unit(source)
+    joined = ",".join(parts) + ONTO + target
+    name = setting.identifier("parameter-slope", joined)
+    unit = setting.unit(parts[0])
     # counted from the middle of the record, the parameter itself stays what it is on the whole
     middle = Parameter(
         f"{name}_middle",
-        setting.quantile(source, 0.5),
+        setting.quantile(source, 0.5) if len(parts) == 1 else _usually_apart(setting, source),
         unit,
         description=f"{source} where it is zero",
     )
@@ -49,7 +53,7 @@ def _slope(setting: Setting, channel: str) -> Effect | None:
         description=f"{target} per {source}",
     )
     left_out = ", which the model leaves out" if source in setting.extra else ""
-    own: dict[str, Any] = _of_state(setting, source, target) if of_state else {}
+    own: dict[str, Any] = _of_state(setting, source, parts, target) if of_state else {}
     return Effect(
         "parameter-slope",
         channel,
@@ -82,35 +86,45 @@ def _of_input(setting: Setting, source: str, target: str) -> dict[str, Any]:
     }
 
 
-def _of_state(setting: Setting, source: str, target: str) -> dict[str, Any]:
+def _usually_apart(setting: Setting, source: str) -> float:
+    """The middle of how far two channels are apart in the record, 0 without one."""
+    if setting.record is None:
+        return 0.0
+    return float(np.nanmedian(value_of(source, setting.record.values)))
+
+
+def _of_state(setting: Setting, source: str, parts: Sequence[str], target: str) -> dict[str, Any]:
     """Members of the effect of a state, at the step's beginning, of differential equations midway of the step.
 
     Midway is where half a step leads. So those states that feed the source are no linear ones, either.
     """
     index = setting.model.parameter_names.index(target)
     bounds = setting.model.parameters[index].bounds
-    needs = [source, *(setting.feeding(source) if setting.model.continuous else ())]
+    states = [part for part in parts if part in setting.states]
+    fed = [setting.feeding(state) for state in states] if setting.model.continuous else []
+    needs = list(dict.fromkeys([*states, *chain.from_iterable(fed)]))
 
     def course(t: Any, x: Any, own: Sequence[Any]) -> Any:
         return own[0] * (x - own[1])
 
     def extend(model: MixedModel) -> MixedModel:
         base = promote(model, needs)
-        split, row = Split(model), list(base.nonlinear).index(source)
+        split = Split(model)
 
-        def at(x: Array, theta: Any) -> Any:
+        def at(x: Array, u: Any, theta: Any) -> Any:
             record, own = split(theta)
-            value = np.clip(record[index] + course(None, x[:, row], own), *bounds)
+            signal = value_of(source, signals(base, x, u))
+            value = np.clip(record[index] + course(None, signal, own), *bounds)
             return record._replace(**{target: value})
 
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            record = at(a, theta)
+            record = at(a, u, theta)
             if base.continuous:
-                record = at(base.transition(a, u, t, 0.5 * dt, record)[0], theta)
+                record = at(base.transition(a, u, t, 0.5 * dt, record)[0], u, theta)
             return base.transition(a, u, t, dt, record)
 
         def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            return base.observation(a, u, t, at(a, theta))
+            return base.observation(a, u, t, at(a, u, theta))
 
         return on_base(base, split, dynamics=dynamics, measurement=measurement)
 
@@ -124,14 +138,16 @@ def _of_state(setting: Setting, source: str, target: str) -> dict[str, Any]:
         },
         "runs": course,
         # a speed is no condition, as a temperature is, or a charge: what depends on it is friction
-        "traits": Traits(of_parameter=True, plainness=ANY + 2, odd=setting.is_rate(source)),
+        "traits": Traits(
+            of_parameter=True, plainness=ANY + 2, odd=len(parts) == 1 and setting.is_rate(source)
+        ),
     }
 
 
 def _each_slope(setting: Setting) -> Iterator[str]:
     """Each parameter but those of noise with each input, also with one that the model leaves out.
 
-    And with each state that moves, where no plainer effect says just that.
+    And with each state that moves, where no plainer effect says just that, and each difference that it weighs.
     """
     for target in setting.steering:
         yield from (f"{source}{ONTO}{target}" for source in setting.model.inputs)
@@ -144,6 +160,7 @@ def _each_slope(setting: Setting) -> Iterator[str]:
                 asked = weighed not in ("", source) and setting.once(_reaches_further, target)
             if asked:
                 yield f"{source}{ONTO}{target}"
+        yield from (f"{apart}{ONTO}{target}" for apart in setting.once(_differences, target))
 
 
 def weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
@@ -180,6 +197,33 @@ def _weighed_by(setting: Setting, parameter: str) -> tuple[str, str] | None:
         if name in known and np.linalg.norm(left) <= ALIKE * np.linalg.norm(column):
             return name, target
     return None
+
+
+def _differences(setting: Setting, parameter: str) -> list[str]:
+    """How far two channels are apart, where that is what a parameter weighs, in all equations that it enters.
+
+    As a stiffness does a twist, or an exchange of heat a fall of temperature: a spring that stiffens, and what
+    radiates, do not weigh it in proportion. A curve of one of the two is no law of their difference.
+    """
+    points, _ = setting.points(setting.model)
+    try:
+        moves, readings = setting.once(_slopes, parameter)
+    except (EngineError, np.linalg.LinAlgError):
+        return []
+    rows = _moved_most(moves, points)
+    names = list(setting.states)
+    if readings.any() or not rows.size or not {names[row] for row in rows} <= set(setting.targets):
+        return []
+    used = [name for name in setting.model.inputs if name not in setting.extra]
+    columns = dict(
+        zip([*names, *setting.model.inputs], np.hstack([points.x, points.u]).T, strict=True)
+    )
+    channels = {name: (setting.unit(name), columns[name]) for name in [*names, *used]}
+    return [
+        source
+        for source in weighed_differences(moves[:, rows], channels)
+        if any(part in setting.moved for part in parts_of(source, list(channels)))
+    ]
 
 
 def _bends(setting: Setting, parameter: str, source: str) -> bool:
