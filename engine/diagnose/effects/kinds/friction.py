@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Split, on_base, pushed
+from engine.diagnose.effects.effect import Split, felt_by_readings, on_base, pushed
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.promotion import promote
 
@@ -83,4 +83,9 @@ def rub(
         f[:, row] += np.where(moved, 0.0, late)
         return f, A, Q
 
-    return on_base(base, split, dynamics=dynamics)
+    def felt(a: Array, u: Any, t: Any, own: Any) -> Any:
+        v = a[:, column] - zero(own)
+        return -size(v, own) * np.sign(v)
+
+    functions = {"dynamics": dynamics} | felt_by_readings(base, split, target, felt)
+    return on_base(base, split, **functions)
