@@ -13,9 +13,7 @@ from engine.statespace.half_steps import SHORTER, step
 from engine.statespace.model import Array, MixedModel
 
 ALIKE = 1e-2  # of a reading: what a line of the rate may leave, as the steps are finite
-STEP = (
-    1e-4  # time, in any unit: the steps are as much shorter as it takes, or the model is not asked
-)
+STEP = 1e-4  # time, in any unit: steps are as much shorter as it takes, or the model is not asked
 
 _KEPT: WeakKeyDictionary[Callable[..., object], tuple[object, dict[str, dict[int, float]]]] = (
     WeakKeyDictionary()
@@ -37,6 +35,7 @@ def readings_of_rate(model: MixedModel, state: str) -> dict[int, float]:
     return kept[1].get(state, {})
 
 
+@np.errstate(all="ignore")  # a guessed point may be where the model is not meant
 def _all_of(model: MixedModel) -> dict[str, dict[int, float]]:
     found: dict[str, dict[int, float]] = {}
     try:
@@ -58,9 +57,8 @@ def _factors(model: MixedModel, theta: Array, points: Points) -> dict[tuple[int,
     for x, u, t in zip(points.x, points.u, points.t, strict=True):
         short = SHORTER * STEP
         rates.append((step(model, theta, x[None], u, float(t), short)[0] - x) / short)
-        with np.errstate(all="ignore"):  # a guessed point may be where the model is not meant
-            h, C, _ = model.observation(np.ascontiguousarray(x[None, :na]), u, float(t), record)
-            y.append((h + np.einsum("...ij,...j->...i", C, x[None, na:]))[0])
+        h, C, _ = model.observation(np.ascontiguousarray(x[None, :na]), u, float(t), record)
+        y.append((h + np.einsum("...ij,...j->...i", C, x[None, na:]))[0])
     signals = np.hstack([points.x, points.u])
     out = {}
     for row, values in enumerate(np.array(y).T):
