@@ -47,7 +47,9 @@ against the names. Intervals are Wilson's, 95 %; that of the share is bootstrapp
 All series were drawn on 30 November 2026 (`--seed 93`), for the diagnosis as it was on that day; none of that
 seed had been seen before. One rule was changed on seeing them: a name is refuted by runs that are worse at the
 level of all outputs together, no more at that of each. With it three series that are `unknown` here are named,
-rightly: a ship's dead zone, a motor's friction, a wind. It has not been judged on other series yet.
+rightly: a ship's dead zone, a motor's friction, a wind. Judged on one series more of each cell of the
+catalogue, from other random numbers, 53 of 67 are above LR 40: 41 exact (77 %; 64-87 %), 50 with the truth in
+the set, 1 wrong, which is wrong by the rule before, too.
 """
 
 
