@@ -26,7 +26,7 @@ OTHER_STEPS = "sampled at other steps, or with inputs held otherwise"
 TOO_LONG = "too long for that"
 ELSEWHERE = "elsewhere at first than the covariance of the model's initial state allows"
 LEFT_OUT = (OTHER_STEPS, TOO_LONG, ELSEWHERE)
-ON_TIME = 1e-6  # of a step, by which the steps of two records may differ
+ON_TIME = 1e-6  # of a step, by which steps or times of two records may differ and be the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,9 +177,21 @@ def records_of(
     on_one, moved = on_one_clock(model, given)
     numbers = tuple(k for k in by_length(on_one) if k not in back)
     main, *others = (on_one[k].with_extra_inputs() for k in numbers)
-    as_given = (*(given[k].with_extra_inputs() for k in numbers[1:] if moved),)
+    as_given = (*(timed_like(given[k], main).with_extra_inputs() for k in numbers[1:] if moved),)
     apart = tuple(one.with_extra_inputs().check(model) for one in tests)
     return model, Records(main, tuple(others), apart, held_out, back, numbers, as_given)
+
+
+def timed_like(one: Series, main: Series) -> Series:
+    """A record at the times of the ``main`` one where they are the same but for rounding.
+
+    Else what comes at a time of the one comes a sample later in the other.
+    """
+    after = np.clip(np.searchsorted(main.t, one.t), 1, len(main) - 1)
+    ends = main.t[after - 1], main.t[after]
+    nearest = np.where(one.t - ends[0] < ends[1] - one.t, *ends)
+    same = np.abs(nearest - one.t) <= ON_TIME * main.usual_step
+    return one.replace(t=np.where(same, nearest, one.t))
 
 
 def on_one_clock(model: MixedModel, given: list[Series]) -> tuple[list[Series], bool]:

@@ -129,11 +129,11 @@ def _with_these_steps(
         if searched is train:
             searched, left = _with_others(model, theta, start, options.free, fine.records, kept)
             # what one short record says may lie far along a ridge that all of them close
-            own, start = start, theta if searched.begins else start
+            of_one, start = start, theta if searched.begins else start
             fine.records.check_enough(searched, left)
             if fine.records.in_turn and searched.begins:
                 as_given = fine.records.as_given()
-                there, _ = _with_others(model, theta, own, options.free, as_given, kept)
+                there, _ = _with_others(model, theta, of_one, options.free, as_given, kept)
                 if _at_once(model, searched, there, start, options, kept):
                     fine, searched = replace(fine, records=as_given), there
         notes.append(_of_records(fine.records, 1 + len(searched.begins), left))

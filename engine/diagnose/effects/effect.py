@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.diagnose.effects.rate_readings import readings_of_rate
+from engine.diagnose.effects.rate_readings import felt_by_readings, readings_of_rate
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.errors import OptionError
 from engine.statespace.evaluation import hands_rows_on
@@ -214,28 +214,6 @@ def add_to_state(
 
     functions = {"dynamics": dynamics} | felt_by_readings(base, split, target, felt)
     return on_base(base, split, **functions)
-
-
-def felt_by_readings(
-    model: MixedModel, split: Parts, target: str, rate: Callable[[Array, Any, Any, Any], Any]
-) -> dict[str, Any]:
-    """The measurement of a model in which ``rate(a, u, t, own)`` pushes a state: nothing where none feels it.
-
-    Of the outputs that read the rate of that state, as an accelerometer does of a speed.
-    """
-    rows = readings_of_rate(model, target)
-    if not rows:
-        return {}
-
-    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        record, own = split(theta)
-        h, C, R = model.observation(a, u, t, record)
-        h = h.copy()
-        for row, factor in rows.items():
-            h[:, row] += factor * rate(a, u, t, own)
-        return h, C, R
-
-    return {"measurement": measurement}
 
 
 Rate: TypeAlias = Callable[[Array], Any]

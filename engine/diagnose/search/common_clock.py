@@ -18,12 +18,8 @@ from engine.diagnose.screening.screening import screen_effects
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 
-PLACED = {
-    Course.STEP,
-    Course.PULSE,
-    Course.EPISODE,
-    Course.HARMONIC,
-}  # others count anew in a record
+# what runs otherwise counts anew in each record
+PLACED = {Course.STEP, Course.PULSE, Course.EPISODE, Course.HARMONIC}
 SURE = 0.2  # of the level: a second clock is a second chance of a false alarm
 
 

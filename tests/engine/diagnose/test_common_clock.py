@@ -7,6 +7,7 @@ import engine
 from engine.data.joined import in_turn, together
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.of_series import setting_for
+from engine.diagnose.records import timed_like
 from engine.diagnose.screening.score_columns import Projection, parameter_columns
 from engine.diagnose.screening.time_scan import family_test
 from engine.diagnose.search.common_clock import came_in_all
@@ -112,3 +113,15 @@ def test_a_diagnosis_tells_its_time_by_the_clocks_as_given(begins):
     series = [{"y": one.y.tolist(), "u": one.u.tolist(), "t": one.t.tolist()} for one in given]
     made = load({"kind": "estimate", "model": model, "series": series})  # as a job of the extension
     assert [one.t[0] for one in made.series] == list(begins)
+
+
+def test_times_that_differ_by_their_rounding_are_the_same():
+    """0.3 + 0.1 is not 0.4: a step that comes at a row of the longest record would be a sample late."""
+    main = engine.Series(np.zeros(90), dt=0.1)
+    other = engine.Series(np.zeros(60), t=0.3 + 0.1 * np.arange(60))
+    late = engine.Series(np.zeros(60), t=0.32 + 0.1 * np.arange(120)[::2])
+    assert not np.isin(other.t, main.t).all()
+    made = timed_like(other, main)
+    np.testing.assert_array_equal(made.t, main.t[3:63])
+    assert made.dt == pytest.approx(0.1)
+    np.testing.assert_array_equal(timed_like(late, main).t, late.t)

@@ -46,6 +46,29 @@ def test_a_reading_of_a_rate_is_known_by_the_equations():
     assert readings_of_rate(engine.get_model("oscillator"), "velocity") == {}
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e5])
+def test_it_is_in_any_unit_of_time(unit):
+    """The same cage in seconds / unit; its numbers are as large as they are then."""
+    per = unit  # a speed, in m per that unit
+    timed = engine.continuous(
+        name="timed",
+        drift=lambda a, u, t, th: ([u[0], th.c * u[0]], [[0.0, -1.0], [th.k, -th.c]]),
+        diffusion=lambda a, u, t, th: np.diag([0.0, 1e-3 * per**3]),
+        measurement=lambda a, u, t, th: ([th.c * u[0]], [[th.k, -th.c]], 1e-3 * np.eye(1)),
+        initial=lambda th: (NO_STATE, [0.0, 0.0], np.diag([1e-4, 1e-2 * per**2])),
+        nonlinear={},
+        linear={"stretch": "m", "speed": "m/s"},
+        inputs={"drum": "m/s"},
+        outputs={"acc": "m/s^2"},
+        parameters=[
+            own("k", 44.0 * per**2, "1/s^2", (0.0, np.inf)),
+            own("c", 0.8 * per, "1/s", (0.0, np.inf)),
+        ],
+    )
+    assert readings_of_rate(timed, "speed") == {0: pytest.approx(1.0, rel=1e-3)}
+
+
 @pytest.mark.parametrize(
     ("name", "rate"),
     [

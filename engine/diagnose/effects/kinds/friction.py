@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Split, felt_by_readings, on_base, pushed
+from engine.diagnose.effects.effect import Split, on_base, pushed
+from engine.diagnose.effects.rate_readings import felt_by_readings
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.promotion import promote
 
