@@ -140,6 +140,11 @@ def rate_of(unit: str) -> str:
     return next((symbol for symbol in below if symbol != SECOND and symbol in _CLOCKS), "")
 
 
+def is_per_time(unit: str) -> bool:
+    """Whether it tells how fast something goes or flows, as m/s, rpm and L/min do: at 0 it is at rest."""
+    return any(kinds.get(SECOND) == -1.0 for _, kinds in meanings(unit))
+
+
 def alike(one: str, other: str) -> bool:
     """Whether two units are the same up to how they are written."""
     return product(one) == product(other)

@@ -169,9 +169,12 @@ def _every(setting: Setting, kinds: Sequence[str] | None) -> Iterator[Effect]:
     And those asked for by name that no kind lists, as a product of two inputs.
     """
     scales, seen = set(setting.model.scale_states), set[str]()
+    families = {name.partition(":")[0] for name in kinds or _makers}
     for kind, (_, channels) in _makers.items():
         if kind in COUNTING and not setting.tells_samples:
             continue
+        if families.isdisjoint({kind, *straight_of(kind, "")}):
+            continue  # before its channels, some of which are found by evaluating the model
         for channel in dict.fromkeys([*channels(setting), *_channels_named(kind, kinds)]):
             asked = {kind, f"{kind}:{channel}", *straight_of(kind, channel)}
             if kinds is not None and asked.isdisjoint(kinds):

@@ -27,7 +27,7 @@ from engine.diagnose.effects.rest import at_rest
 from engine.diagnose.effects.zeros import without_zero
 from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel, Parameter
-from engine.units import SECOND, frequency_in, product, zero_of
+from engine.units import SECOND, frequency_in, is_per_time, product, zero_of
 
 SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an effect has
 PROBED = 32  # rows of a record at which a model's structure is looked at
@@ -207,19 +207,23 @@ class Setting:
         return tuple(place for way in ways.tolist() for place in (low - way, high + way))
 
     def zeros_inside(self, channel: str) -> tuple[float, ...]:
-        """Where else the zero of a channel may be that is not afloat, and is taken for that of its unit.
+        """Where else the zero of a channel may be.
 
         A position may be counted from a wall: the zero is where the model is at rest. Or it is in the middle of
-        a record that keeps away from that of the unit.
+        a record that keeps away from that of the unit. Of a speed that no equation counts from anywhere, only
+        from another speed, it is that of its unit all the same: there it stands.
         """
         values, zero = self._values(channel), self.zero(channel)
-        if channel in self.known_zeros or channel in self._afloat or not values.size:
+        if channel in self.known_zeros or not values.size:
             return ()
-        near = float(values.min()) <= zero <= float(values.max())
-        places = [] if near else [float(np.median(values))]
         low, high = self.inside(channel)
-        if low < self._rest.get(channel, -np.inf) < high:
-            places.append(self._rest[channel])
+        if channel in self._afloat:
+            places = [0.0] if low < 0.0 < high and is_per_time(self.unit(channel)) else []
+        else:
+            near = float(values.min()) <= zero <= float(values.max())
+            places = [] if near else [float(np.median(values))]
+            if low < self._rest.get(channel, -np.inf) < high:
+                places.append(self._rest[channel])
         close = ALIKE * self.size(channel)
         return tuple(place for place in places if abs(place - zero) > close)
 
