@@ -106,8 +106,9 @@ def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, A
 def in_a_line(found: Diagnosis) -> str:
     """What the list of jobs says of it: the cause with its size, or how far it is known."""
     if not found.causes:
-        further = "" if found.unsearched is None else f" {found.unsearched.sentence}"
-        return f"{found.verdict.sentence}{further}"
+        chance = found.why if found.verdict is Verdict.NOTHING else ()
+        further = () if found.unsearched is None else (found.unsearched.sentence,)
+        return " ".join([found.verdict.sentence, *chance, *further])
     said = "; ".join(_cause(one, found.series) for one in found.causes)
     if found.verdict is Verdict.UNKNOWN:
         return f"{found.verdict.sentence} Nearest: {said}"

@@ -4,7 +4,8 @@
 refits the best ones, and repeats on the extended model until nothing is left to see. What was found in
 turn is then weighed again, each beside the others, and dropped where it is not seen beside them. Its verdict is
 
-- ``nothing``: no alarm at the family-wise level alpha;
+- ``nothing``: no alarm at the family-wise level alpha, or one above a tenth of it, where data that were not
+  searched are predicted worse with what was found;
 - ``named``: in every round with an alarm one effect is left, MARGIN ahead of all others in score and
   UNNAMED_MARGIN ahead of the unnamed force, and nothing is left to see after it;
 - ``set``: in some round several effects, or the unnamed force with them, cannot be told apart;
@@ -263,7 +264,7 @@ def diagnose(  # noqa: PLR0913
         bootstrapped = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")
-    unseen = HeldOut(fine.records, searched, seed)
+    unseen = HeldOut(fine.records, searched, seed, alpha)
     shown = fine.records.train if searched.begins else searched
     judged = unseen.judge(causes, both.asked, clock.progress)
     beside = _beside_others(judged, shown)
@@ -357,7 +358,7 @@ def diagnose(  # noqa: PLR0913
         detectable=detectable_of(found.rounds[0].screen, found.rounds[0].refits),
         search=judged.search,
         notes=tuple(notes),
-        why=judged.why[:REASONS] if judged.verdict is Verdict.UNKNOWN else (),
+        why=judged.why[:REASONS] if judged.verdict in (Verdict.UNKNOWN, Verdict.NOTHING) else (),
         seconds=clock.seconds,
         series=records.main,
         records=1 + len(records.others),

@@ -112,7 +112,8 @@ class Diagnosis(Shown):
     by_record : str
         Where several records have parameters of their own, a sentence that says which; "" where none is seen.
     why : tuple of str
-        Of a verdict that is ``unknown``: why what was found is not trusted, the first of these notes.
+        Of a verdict that is ``unknown``: why what was found is not trusted, the first of these notes. Of
+        ``nothing``: why what seemed to be seen is taken for chance, if anything did.
     asked : Asked or None
         The arguments and the finished parts, by which :func:`engine.save` keeps the diagnosis.
     """

@@ -28,6 +28,7 @@ from engine.diagnose.gain.adoption import (
     nothing_better,
     runs_worse,
 )
+from engine.diagnose.gain.chance import is_faint, taken_for_chance
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import (
     last_alone,
@@ -47,7 +48,7 @@ from engine.diagnose.judging.moments_missed import (
 )
 from engine.diagnose.judging.verdict import named_by, names_of
 from engine.diagnose.records import Records
-from engine.diagnose.refits.found import Search
+from engine.diagnose.refits.found import Search, without_names
 from engine.diagnose.refits.refitted import Refit
 from engine.diagnose.refits.rounds import Round, settle
 from engine.diagnose.screening.screening import Progress
@@ -88,12 +89,13 @@ class Judged:
 class HeldOut:
     """The ``records``, with their tests, whole ones or their last part held out, if any.
 
-    ``searched`` are the rows that the likelihood has searched.
+    ``searched`` are the rows that the likelihood has searched, with a share ``alpha`` of false alarms.
     """
 
     records: Records
     searched: Series
     seed: int
+    alpha: float
 
     def judge(
         self,
@@ -197,6 +199,11 @@ class HeldOut:
             why += filter(None, [left.objection])
         else:
             gain = self._gain(search)
+        chance = "" if asked.sees(self.alpha) else taken_for_chance(search, gain, self.alpha)
+        if chance:
+            base, none = search.base, without_names(search)
+            said = chance, *notes
+            return Judged(Verdict.NOTHING, (), base, base, None, none, asked, said, why=(chance,))
         extended = bool(named_by(search)) and search.final is not search.base
         if extended and found.base.model.na:
             text, contradicts = self._particle_word(found.base, search)
@@ -251,14 +258,18 @@ class HeldOut:
     def _gain(self, search: Search) -> Gain | None:
         """What the likelihood's extension gains.
 
-        None without one, and where no rows are held out and it is not of time alone.
+        None without one, and where no rows are held out and it is not of time alone. What comes with time may
+        be gone in the record's last rows, so it is judged among those that chose it. A faint wave is not: there
+        any frequency gains that was chosen by them, and a wave goes on.
         """
         causes, before, after = named_by(search), search.base, search.final
         chosen = [r.refits[0].effect for r in search.rounds if r.equivalent]
         if not causes or after is before:
             return None
         begins = [e for e in chosen if e.traits.of_record]
-        goes_on = self._later and (not begins or len(begins) < len(chosen))
+        waves = self.records.keeps_back and is_faint(search, self.alpha)
+        waves = waves and all(e.traits.course is Course.HARMONIC for e in chosen)
+        goes_on = waves or (self._later and (not begins or len(begins) < len(chosen)))
         if not goes_on and all(cause.where == "time" for cause in causes):
             times = [name for e in chosen for name in e.sought]
             return measure_gain_interleaved(before, after, self._searched, times, self.seed)

@@ -104,6 +104,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
     if d.verdict.value == "unknown" and d.over_horizon is not None and d.over_horizon.instead:
         yield from _wrapped(d.over_horizon.instead, "  ")
     if not d.causes:
+        for said in d.why if d.verdict.value == "nothing" else ():
+            yield from _wrapped(said, "  ")
         if d.unsearched is not None:
             yield from _wrapped(d.unsearched.sentence, "  ")
         said = looked_for(probability(d.p_value, d.p_at_floor), [x.testable for x in d.detectable])

@@ -74,6 +74,10 @@ class SecondOpinion:
     missing: MissingFunction | None = None
     refutes: bool = False
 
+    def sees(self, alpha: float) -> bool:
+        """Whether the free run has something that noise does not explain, at a level ``alpha``."""
+        return self.alarm is not None and self.alarm.p_value <= alpha
+
 
 def second_opinion(
     causes: Causes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,12 @@ class Search:
         """
         costs = sum(cost(one.effect, series) + size_cost(series) for one in self.named)
         return 2.0 * (self.final.log_likelihood - self.base.log_likelihood) - costs
+
+
+def without_names(search: Search) -> Search:
+    """A search that saw what the first round of this one did, and found nothing in it."""
+    first = replace(search.rounds[0], equivalent=())
+    return Search(search.base, search.base, (first,), alarm_left=False)
 
 
 def size_cost(series: Series) -> float:

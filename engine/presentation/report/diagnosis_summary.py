@@ -43,6 +43,8 @@ def verdict(d: Document) -> Html:
         names = [tag("p", looked_for(p_value(d), testable))]
         if unsearched := d.get("unsearched"):
             names = [tag("p", prose(unsearched["sentence"])), *names]
+        if d["verdict"] == "nothing":
+            names = [*(tag("p", prose(one)) for one in d.get("why", ())), *names]
     faults = [tag("p", f"Look at the record first. {prose(one)}") for one in d.get("faults", ())]
     stopped = [tag("p", prose(one)) for one in d.get("stopped", ())]
     differ = [tag("p", prose(d["by_record"]))] if d.get("by_record") else []

@@ -128,10 +128,10 @@ def test_a_gain_is_promised_in_proportion_to_the_rows_less_a_nat_for_each_parame
         final=SimpleNamespace(log_likelihood=-100.0, free=("k", "size", "another")),
     )
     searched = Series(y, dt=1.0)
-    judge = HeldOut(Records(searched), searched, 0)
+    judge = HeldOut(Records(searched), searched, 0, 0.05)
     assert judge._promised(search, LOSS) == pytest.approx(promised)
     # of a record with five times as many samples, one in five was searched
-    judge = HeldOut(Records(Series(np.repeat(y, 5), dt=0.2)), searched, 0)
+    judge = HeldOut(Records(Series(np.repeat(y, 5), dt=0.2)), searched, 0, 0.05)
     assert judge._promised(search, LOSS) == pytest.approx(promised / 5.0)
 
 
@@ -207,9 +207,9 @@ def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, v
     found = Search(None, None, (Round(screen, tuple(refits), None, tuple(refits)),), False)
     records = SimpleNamespace(held_out=("another record",))
     base = SimpleNamespace(model=SimpleNamespace(na=0))
-    judged = Said(records, Series(np.zeros(160), dt=1.0), 0, objections).judge(
+    judged = Said(records, Series(np.zeros(160), dt=1.0), 0, 0.05, objections).judge(
         SimpleNamespace(search=found, verdict=Verdict.SET, base=base, setting=Setting(DRIVE)),
-        SimpleNamespace(decides=False, search=None, refutes=False),
+        SecondOpinion(Verdict.SET, (), False, ""),
     )
     assert judged.verdict is verdict
     assert set(judged.causes[0].equivalent) == causes
@@ -232,7 +232,7 @@ def test_what_is_shown_is_judged_also_where_the_free_run_decides_and_names_nothi
     free_run = SimpleNamespace(found=(), verdict=Verdict.UNKNOWN)
     asked = SecondOpinion(Verdict.UNKNOWN, ("step:y",), True, "", search=free_run)
     records = SimpleNamespace(held_out=("another record",))
-    judge = Measured(records, Series(np.zeros(160), dt=1.0), 0)
+    judge = Measured(records, Series(np.zeros(160), dt=1.0), 0, 0.05)
     judged = judge.judge(SimpleNamespace(search=found, verdict=Verdict.UNKNOWN), asked)
     assert judged.gain is LOSS
     assert (judged.verdict, judged.free_run.decides) == (Verdict.UNKNOWN, True)
@@ -256,7 +256,7 @@ def test_a_last_name_that_loses_beside_another_is_contradicted_though_both_toget
     refits = [(Refit(effect, final, 40.0, 40.0),) for effect in (bias, drag)]
     rounds = tuple(Round(screen, one, None, one) for one in refits)
     search = Search(quasi_ml(DRIVE, series, DRIVE.theta()), final, rounds, False)
-    gain, said = HeldOut(Records(series, (), (other,)), series, 0)._asked(search)
+    gain, said = HeldOut(Records(series, (), (other,)), series, 0, 0.05)._asked(search)
     assert gain.log_density > 0.0
     assert said.startswith("Of drag:speed beside bias:reading: On data that it has not seen")
     alone = last_alone(search, series)

@@ -93,7 +93,7 @@ def test_where_particles_are_lost_the_fit_before_is_asked():
 def test_a_name_that_gains_less_than_is_missed_is_not_said(monkeypatch, gained, verdict, end):
     model = growth()
     before, after = fit_at(model), fit_at(model)
-    record = HeldOut(SimpleNamespace(), series_of(model), 0)
+    record = HeldOut(SimpleNamespace(), series_of(model), 0, 0.05)
     monkeypatch.setattr(
         import_module("engine.diagnose.held_out"),
         "log_likelihood_of",

@@ -47,7 +47,7 @@ def test_an_addition_that_loses_on_other_data_is_left_out(last, size, stays):
         theta = found.after.theta.asdict() | {"quadratic_speed": size}
         after = replace(found.after, theta=found.after.model.theta(theta))
         found = replace(found, fits=(*found.fits[:-1], after))
-    held_out = HeldOut(Records(train, tests=(test,)), train, 0)
+    held_out = HeldOut(Records(train, tests=(test,)), train, 0, 0.05)
     left, notes = held_out._borne_out(found)
     assert [one.names for one in left.found] == [(COULOMB,), (last,)][: 1 + stays]
     assert len(left.fits) == len(left.gains) + 1 == len(left.found) + 1
@@ -66,7 +66,7 @@ def test_a_survivor_whose_noise_cannot_be_fitted_stands_for_nothing(monkeypatch)
     groups = tuple((Candidate(None, (), np.zeros(1), 1.0, 0.01, 0.5),) for _ in range(2))
     one = FreeRound(None, np.zeros(1), None, (), (), groups, 0.05)
     found = FreeRunSearch((one,), (None, None), (0.0, 1.0))
-    assert not HeldOut(None, None, 0)._stands(found, groups[1])
+    assert not HeldOut(None, None, 0, 0.05)._stands(found, groups[1])
 
 
 @pytest.mark.long
@@ -85,7 +85,7 @@ def test_what_loses_on_other_data_leaves_its_place_to_another_of_its_set():
     fits = noise_fit(base), noise_fit(groups[0][0].fit)
     found = FreeRunSearch((one,), fits, tuple(fit.log_likelihood for fit in fits))
     assert found.verdict is Verdict.SET
-    left, notes = HeldOut(Records(train, tests=(test,)), train, 0)._borne_out(found)
+    left, notes = HeldOut(Records(train, tests=(test,)), train, 0, 0.05)._borne_out(found)
     assert left.found[0].names == (COULOMB,)
     assert left.verdict is Verdict.NAMED
     assert SQUARE in notes[0]
@@ -96,6 +96,6 @@ def test_what_loses_on_other_data_leaves_its_place_to_another_of_its_set():
 def test_the_only_one_stays_to_be_judged_as_a_whole():
     train, test = (hidden(["coulomb:speed"], {"coulomb_speed": 0.4}, seed) for seed in (1, 2))
     found = found_in_turn(train, [SQUARE])
-    left, notes = HeldOut(Records(train, tests=(test,)), train, 0)._borne_out(found)
+    left, notes = HeldOut(Records(train, tests=(test,)), train, 0, 0.05)._borne_out(found)
     assert left is found
     assert not notes
