@@ -79,7 +79,7 @@ def about_zone(date: Any) -> str:
     )
 
 
-def _size(unit: str) -> float | None:
+def size_of(unit: str) -> float | None:
     """How many seconds a unit of time has; None where that is not known."""
     known = meanings(clock_of(unit) or unit)  # hours are h
     return next((size for size, powers in known if powers == {"s": 1.0}), None)
@@ -87,7 +87,7 @@ def _size(unit: str) -> float | None:
 
 def _seconds_of(unit: str) -> float:
     """How many seconds a unit of time has. Raises SeriesError where that is not known."""
-    size = _size(unit)
+    size = size_of(unit)
     if size is None:
         raise SeriesError(
             f"t are dates and time_unit is '{unit}', of which it is not known how many seconds it has: give "
@@ -105,7 +105,7 @@ def converted(times: Any, told: str, unit: str, by: str = "file") -> tuple[Any, 
     """
     if times is None:
         return None, ""
-    own, wanted = _size(told), _size(unit)
+    own, wanted = size_of(told), size_of(unit)
     if own == wanted and (own is not None or told == unit):
         return times, ""
     if own is None or wanted is None:
@@ -323,7 +323,7 @@ def about_name(times: Any, unit: str) -> str:
     """A note where the name of a table's column or index says that its numbers count another unit; else ""."""
     name, kind = getattr(times, "name", None), getattr(getattr(times, "dtype", None), "kind", "")
     told = clock_of(str(name or ""))
-    if kind not in "fiu" or not told or told == unit or (_size(told) or 0.0) == _size(unit):
+    if kind not in "fiu" or not told or told == unit or (size_of(told) or 0.0) == size_of(unit):
         return ""
     return (
         f"times '{name}' count {told} by its name, and are taken for {unit}: say time_unit='{told}', "

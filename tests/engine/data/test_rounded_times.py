@@ -28,14 +28,36 @@ def test_an_even_step_is_found_whatever_the_unit_and_the_zero(dt, digits, first,
     assert step == pytest.approx(dt, abs=1.1 * 10.0**-digits / 300.0)
 
 
+@pytest.mark.parametrize(
+    ("written", "size", "dt", "digits"),
+    [("h", 3600.0, 10.0, 4), ("min", 60.0, 2.0, 2), ("day", 86400.0, 20.0, 5), ("h", 60.0, 2.0, 2)],
+)
+def test_digits_show_in_the_unit_in_which_times_were_written(written, size, dt, digits):
+    unit = "min" if size == 60.0 and written == "h" else "s"
+    said = rounded_times(size * clock(300, dt / size, digits), unit)
+    assert f"rounded to {10.0**-digits:g} {written}: one even step of {dt:g} {unit} " in said
+
+
+def test_dates_to_the_second_are_rounded_in_any_unit(tmp_path):
+    path = tmp_path / "logger.csv"
+    stamps = (
+        f"2024-03-01 08:{s // 60:02d}:{s % 60:02d},{s}"
+        for s in np.floor(2.5 * np.arange(200)).astype(int)
+    )
+    path.write_text("time,y\n" + "\n".join(stamps))
+    with pytest.warns(ReadingWarning, match=r"rounded to 1 s: one even step of 0\.041\d* min "):
+        read_series(path, ["y"], time_unit="min")
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_clock_that_is_not_even_is_left_alone(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(10, 300))
     by_chance = np.cumsum(rng.uniform(0.5, 1.5, n)).round(1)
     late = (np.arange(n) + rng.uniform(-0.2, 0.2, n)).round(2)
-    assert not rounded_times(by_chance, "s")
-    assert not rounded_times(late, "s")
+    for unit in ("s", "min", "h", "day"):
+        assert not rounded_times(by_chance, unit)
+        assert not rounded_times(late, unit)
 
 
 @pytest.mark.parametrize(
@@ -46,6 +68,7 @@ def test_a_clock_that_is_not_even_is_left_alone(seed):
         np.append(np.arange(50.0), 90.0 + np.arange(50.0)),
         60.0 * np.append(np.arange(10), 71 + np.arange(5)),
         np.cumsum(np.tile([31.0, 28.0, 31.0, 30.0, 31.0, 30.0], 6)),  # months, in days
+        86400.0 * np.cumsum(np.tile([31.0, 28.0, 31.0, 30.0, 31.0, 30.0], 6)),
     ],
 )
 def test_nor_one_that_is_even_has_gaps_or_counts_months(times):
