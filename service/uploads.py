@@ -17,7 +17,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from engine.data.by_column import gather, in_order, parts_of
-from engine.data.channels import check_units
+from engine.data.channels import check_order, check_units
 from engine.data.files import TEXT, read_table, series_from
 from engine.data.table import Table
 from engine.diagnose.effects.setting import Setting
@@ -213,8 +213,8 @@ def _matched(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """{channel: column} of y and of u in the order of the model's channels."""
     outputs, inputs = list(model.outputs), list(model.inputs)
-    given = _given(wanted.y, table, outputs, f"{where}.y")
-    given |= _given(wanted.u, table, inputs, f"{where}.u")
+    given = _given(wanted.y, table, model, "y", f"{where}.y")
+    given |= _given(wanted.u, table, model, "u", f"{where}.u")
     found = match(table, outputs, inputs, given, {*wanted.other, wanted.t or ""})
     for member, channels in (("y", outputs), ("u", inputs)):
         for channel in channels:
@@ -265,9 +265,14 @@ def _model(model: Any) -> MixedModel | None:
 
 
 def _given(
-    columns: list[str] | dict[str, str] | None, table: Table, channels: list[str], where: str
+    columns: list[str] | dict[str, str] | None,
+    table: Table,
+    model: MixedModel,
+    what: str,
+    where: str,
 ) -> dict[str, str]:
-    """{channel: column} as the request has it; in a list an array's name means all its columns."""
+    """{channel: column} of y or u as the request has it; in a list an array's name means all its columns."""
+    channels = model.outputs if what == "y" else model.inputs
     there = f"the model's channels are {', '.join(channels) or 'none'}"
     if columns is None:
         return {}
@@ -278,6 +283,10 @@ def _given(
     each = [c for name in columns for c in table.groups.get(name, [table.full(name)])]
     if len(each) != len(channels):
         raise invalid(where, f"names {len(each)} columns; {there}")
+    try:
+        check_order(tuple(each), channels, what, model)
+    except SeriesError as error:
+        raise invalid(where, str(error)) from None
     return dict(zip(channels, each, strict=True))
 
 

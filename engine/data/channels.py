@@ -36,16 +36,23 @@ def check_channels(series: Series, model: BaseModel) -> None:
                 f"{what} has {len(names)} channels; model '{model.name}' needs "
                 f"{len(own)} ({', '.join(own) or 'none'}){hint}"
             )
-        if names == default_names(len(names), what):
-            continue
-        for name, channel in zip(names, own, strict=True):
-            elsewhere = name != channel and name in {**model.outputs, **model.inputs}
-            if elsewhere or _meant(name, own) not in (None, channel):
-                raise SeriesError(
-                    f"{what} has channels {', '.join(names)}; model '{model.name}' takes {', '.join(own)}, in "
-                    f"this order, and '{name}' would be used as '{channel}': reorder the columns or rename them"
-                )
+        check_order(names, own, what, model)
     check_units(series, model)
+
+
+def check_order(
+    names: tuple[str, ...], own: Mapping[str, str], what: str, model: BaseModel
+) -> None:
+    """Raise SeriesError where one of the names, as many as the ``own`` channels, is that of another channel."""
+    if names == default_names(len(names), what):
+        return
+    for name, channel in zip(names, own, strict=True):
+        elsewhere = name != channel and name in {**model.outputs, **model.inputs}
+        if elsewhere or _meant(name, own) not in (None, channel):
+            raise SeriesError(
+                f"{what} has channels {', '.join(names)}; model '{model.name}' takes {', '.join(own)}, in "
+                f"this order, and '{name}' would be used as '{channel}': reorder the columns or rename them"
+            )
 
 
 def _meant(name: str, own: Mapping[str, str]) -> str | None:

@@ -96,6 +96,24 @@ def test_units_behind_names_are_compared_with_those_of_the_model(client):
     )
 
 
+@pytest.mark.parametrize("columns", [["y2", "y1"], ["top", "floor y1"]])
+def test_columns_in_a_list_that_are_called_like_another_channel_are_refused(client, columns):
+    rows = "\n".join(f"{i},{i}.5,{-i},0" for i in range(5))
+    text = f"t,{','.join(columns)},force\n{rows}\n"
+    request = {
+        "kind": "estimate",
+        "model": "structure",
+        "series": [{"file": "a.csv", "y": columns}],
+    }
+    file = ("file", ("a.csv", text))
+    answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=[file])
+    assert answer.status_code == 422, answer.text
+    (error,) = answer.json()["errors"]
+    assert error["field"] == "series[0].y"
+    assert "in this order" in error["message"]
+    assert "reorder the columns" in error["message"]
+
+
 def test_units_behind_names_may_be_left_out(client):
     files = {
         "file": ("a.csv", b"rain [mm],depth [1e8 m^3],clock [year]\n5,1120,1\n6,1160,2\n7,963,3\n")
