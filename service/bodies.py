@@ -7,7 +7,6 @@ counted before anything is made of it, and what then takes long is done elsewher
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Coroutine
 from contextlib import nullcontext
 from typing import Any
@@ -18,6 +17,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 
 from service.problems import Problem
+from service.strict_json import loads
 
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
@@ -43,7 +43,7 @@ def json_route(max_values: int) -> type[APIRoute]:
 
             def parse(body: bytes) -> Any:
                 try:
-                    value = json.loads(body)
+                    value = loads(body)
                 except (ValueError, RecursionError) as error:
                     raise Problem(400, "not-json", f"the body is not JSON: {error}") from None
                 found, errors = field.validate(value, loc=("body",))

@@ -1,4 +1,4 @@
-"""JSON that every client can read: numbers that are not finite become null."""
+"""JSON that says one thing to every reader: no member twice, and null for what is not finite."""
 
 from __future__ import annotations
 
@@ -9,6 +9,20 @@ from typing import Any
 from engine.json_values import plain
 
 PART = 20_000  # elements of a list that are written at once
+
+
+def loads(text: str | bytes) -> Any:
+    """What JSON text says. Raises ValueError, also where an object has a member twice: one would count."""
+    return json.loads(text, object_pairs_hook=_each_once)
+
+
+def _each_once(members: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in members:
+        if name in found:
+            raise ValueError(f"member {name!r:.80} is there twice; give it once")
+        found[name] = value
+    return found
 
 
 def dumps(value: Any) -> str:

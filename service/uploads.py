@@ -27,6 +27,7 @@ from service.columns import match, noted
 from service.file_names import as_asked, named
 from service.problems import Problem, invalid
 from service.schemas import LONGEST_NOTE, MOST_NOTES, Hold, ModelReference, Request, TimeUnit
+from service.strict_json import loads
 from service.validation import ADAPTER, find_model
 
 BLANKS = re.compile(rb" +(?=[^\s])")  # between cells that nothing else parts
@@ -66,7 +67,7 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
     for name, data in files.items():
         check_size(data, name, "file", max_values)
     try:
-        body = json.loads(text)
+        body = loads(text)
     except (ValueError, RecursionError) as error:
         raise Problem(400, "not-json", f"request is not JSON: {error}") from None
     if not isinstance(body, dict):

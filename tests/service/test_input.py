@@ -118,6 +118,17 @@ def test_bodies_that_are_no_request(client, body, status):
     assert answer.headers["content-type"] == "application/problem+json"
 
 
+def test_a_member_given_twice_is_refused(client):
+    text = b'{"kind": "smooth", "model": "linear-2", "parameters": {"values": {"theta": 0, "theta": 1}}}'
+    file = {"file": ("a.csv", b"y\n1\n2\n3\n")}
+    for answer in (
+        client.post("/jobs", content=text, headers=JSON),
+        client.post("/jobs/upload", data={"request": text.decode()}, files=file),
+    ):
+        assert answer.status_code == 400
+        assert "'theta' is there twice" in answer.json()["detail"]
+
+
 def test_numbers_json_does_not_know(client, ended):
     """NaN is a missing measurement, as null is."""
     body = b'{"kind": "smooth", "model": "linear-2", "series": [{"y": [1.0, NaN, 1.2]}]}'

@@ -98,16 +98,14 @@ def test_large_bodies_take_turns(client, estimation, monkeypatch):
     """Memory is needed for one at a time, however many come at once."""
     at_once, most, found = [], [], []
 
-    class Watched:
-        @staticmethod
-        def loads(body):
-            at_once.append(body)
-            most.append(len(at_once))
-            time.sleep(0.05)
-            at_once.pop()
-            return json.loads(body)
+    def watched(body):
+        at_once.append(body)
+        most.append(len(at_once))
+        time.sleep(0.05)
+        at_once.pop()
+        return json.loads(body)
 
-    monkeypatch.setattr("service.bodies.json", Watched)
+    monkeypatch.setattr("service.bodies.loads", watched)
     padded = json.dumps(estimation(iterations=1)).encode() + b" " * (2 << 20)
 
     def post():
