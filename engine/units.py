@@ -210,6 +210,12 @@ def meanings(unit: str) -> list[Meaning]:
     return found
 
 
+def time_size(unit: str) -> float | None:
+    """How many seconds a unit of time has; None where that is not known."""
+    known = meanings(clock_of(unit) or unit)  # hours are h
+    return next((size for size, powers in known if powers == {"s": 1.0}), None)
+
+
 def difference(unit: str) -> tuple[float, str] | None:
     """How large a difference of one is in SI units, and what it is one of; None where that is not known.
 

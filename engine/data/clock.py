@@ -13,14 +13,14 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.counters import uneven
 from engine.data.dates import about_orders, date_of, in_order, order_of, with_slashes
+from engine.data.rounded_times import EVEN, evened, rounding_of
 from engine.errors import SeriesError
-from engine.units import clock_of, meanings
+from engine.units import clock_of, time_size
 
 WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
-EVEN = 1e-6  # of a step, by which those at one common step may differ
 DIGITS = 12  # that a common step has at most
 NOON = 1200.0  # in the digits of a clock, after which it passes midnight
 ELAPSED = re.compile(r"\s*(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)\s*")
@@ -79,15 +79,9 @@ def about_zone(date: Any) -> str:
     )
 
 
-def size_of(unit: str) -> float | None:
-    """How many seconds a unit of time has; None where that is not known."""
-    known = meanings(clock_of(unit) or unit)  # hours are h
-    return next((size for size, powers in known if powers == {"s": 1.0}), None)
-
-
 def _seconds_of(unit: str) -> float:
     """How many seconds a unit of time has. Raises SeriesError where that is not known."""
-    size = size_of(unit)
+    size = time_size(unit)
     if size is None:
         raise SeriesError(
             f"t are dates and time_unit is '{unit}', of which it is not known how many seconds it has: give "
@@ -105,7 +99,7 @@ def converted(times: Any, told: str, unit: str, by: str = "file") -> tuple[Any, 
     """
     if times is None:
         return None, ""
-    own, wanted = size_of(told), size_of(unit)
+    own, wanted = time_size(told), time_size(unit)
     if own == wanted and (own is not None or told == unit):
         return times, ""
     if own is None or wanted is None:
@@ -117,8 +111,8 @@ def converted(times: Any, told: str, unit: str, by: str = "file") -> tuple[Any, 
 def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] = ()) -> Array:
     """Times (T,) of rows: ``t``, as :func:`times_in` takes it, or else from 0 at the step ``dt``, 1 by default.
 
-    Given both, t counts and must have that step: on average, and nearly each. At ``begins`` t may fall back.
-    Raises SeriesError.
+    Given both, t counts and must have that step: on average, and nearly each. Where it explains all of t but
+    their digits, t are made even. At ``begins`` t may fall back. Raises SeriesError.
     """
     if t is None:
         dt = 1.0 if dt is None else _step_in(dt, unit)
@@ -163,9 +157,13 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
         elif kind == "repeats" and not hint and (np.diff(times) >= 0).all():
             hint = "; if its stamps are rounded, name their column otherwise and give the step, dt"
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
-    if dt is not None:
-        _check_step(times, _step_in(dt, unit))
-    return times
+    if dt is None:
+        return times
+    step = _step_in(dt, unit)
+    even = evened(times, step, unit)
+    if even is None:
+        _check_step(times, step)
+    return times if even is None else even
 
 
 def _winter(times: Array, row: int, date: Any, unit: str) -> str:
@@ -259,11 +257,6 @@ def common_step(t: Array, begins: Sequence[int] = ()) -> float | None:
     return short if (np.abs(steps - short) <= rounding).all() else mean
 
 
-def rounding_of(t: Any) -> float:
-    """By how much differences of times t may be off: a clock that counts since 1970 tells 2e-7 s at best."""
-    return float(2.0 * np.finfo(float).eps * np.abs(t).max())
-
-
 def _check_step(times: Array, dt: float) -> None:
     steps = np.diff(times)
     rounding = 4.0 * np.finfo(float).eps * np.abs(times).max()
@@ -323,7 +316,7 @@ def about_name(times: Any, unit: str) -> str:
     """A note where the name of a table's column or index says that its numbers count another unit; else ""."""
     name, kind = getattr(times, "name", None), getattr(getattr(times, "dtype", None), "kind", "")
     told = clock_of(str(name or ""))
-    if kind not in "fiu" or not told or told == unit or (size_of(told) or 0.0) == size_of(unit):
+    if kind not in "fiu" or not told or told == unit or (time_size(told) or 0.0) == time_size(unit):
         return ""
     return (
         f"times '{name}' count {told} by its name, and are taken for {unit}: say time_unit='{told}', "

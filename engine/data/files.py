@@ -14,7 +14,8 @@ Which columns are which channels:
   :class:`engine.ReadingWarning` says which it is. Where none is called so and no step is given, the only column
   that holds dates is used;
 - ``dt`` is the time step where no column has the times; in .mat and .npz a scalar named ``dt`` or ``Ts`` is.
-  Given beside times it must be their step, but that of a file where ``t`` is named. Where nothing tells it,
+  Given beside times it must be their step, but that of a file where ``t`` is named; it makes times even that
+  have too few digits, 0.03, 0.07, 0.1 at 30 Hz. Where nothing tells it,
   it is 1; a :class:`engine.ReadingWarning` names a column that looks like times, if there is one;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
   ``time_unit`` in .mat and .npz, a line ``# time unit: min`` at the head of a CSV, or the name of the column of

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from engine.data.clock import rounding_of
 from engine.data.joined import anew
+from engine.data.rounded_times import rounding_of
 from engine.diagnose.effects.identifiers import Identifiers
 from engine.diagnose.effects.rates import (
     Points,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.clock import rounding_of
+from engine.data.rounded_times import rounding_of
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend
 from engine.diagnose.effects.effect import Effect

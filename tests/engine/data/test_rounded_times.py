@@ -8,7 +8,7 @@ from engine.data.faults import about_faults
 from engine.data.files import read_series
 from engine.data.rounded_times import rounded_times
 from engine.diagnose.symptoms.data_checks import check_data
-from engine.errors import ReadingWarning
+from engine.errors import ReadingWarning, SeriesError
 
 
 def clock(n, dt, digits, first=0.0, gap=0, cut=False):
@@ -86,3 +86,25 @@ def test_a_table_and_a_diagnosis_say_so(tmp_path):
     assert any("steps are of 0.03 and 0.04 s" in note for note in check_data(model, series))
     assert "rounded to 0.01 s" in about_faults(model.outputs, model.inputs, [series])
     assert not any("rounded" in note for note in check_data(model, engine.Series(y, dt=1 / 30)))
+
+
+@pytest.mark.parametrize("gap", [0, 37])
+@pytest.mark.parametrize(("size", "dt", "digits"), [(1.0, 1 / 30, 2), (3600.0, 10.0, 4)])
+def test_the_step_that_is_told_makes_them_even(size, dt, digits, gap):
+    """It was refused as another one than that of the times, which stand in a file."""
+    rounded = size * clock(300, dt / size, digits, gap=gap)
+    step = float(rounded_times(rounded, "s").partition("dt=")[2].partition(" ")[0])
+    t = engine.Series(np.zeros(300), t=rounded, dt=step).t
+    assert np.abs(t - rounded).max() <= 1.05 * size * 10.0**-digits
+    steps = np.diff(t)
+    np.testing.assert_allclose(steps[steps < 1.5 * dt], step, rtol=1e-9)
+    with pytest.raises(SeriesError, match="both given and differ"):
+        engine.Series(np.zeros(300), t=rounded, dt=1.02 * dt)
+
+
+def test_times_that_are_not_rounded_stay_as_they_are_beside_their_step():
+    late = np.arange(100) + np.random.default_rng(1).uniform(-0.04, 0.04, 100)
+    late[-1] = 99.0 + late[0]
+    np.testing.assert_array_equal(engine.Series(np.zeros(100), t=late, dt=1.0).t, late)
+    even = 0.1 * np.arange(100) + 0.3
+    np.testing.assert_array_equal(engine.Series(np.zeros(100), t=even, dt=0.1).t, even)
