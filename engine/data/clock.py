@@ -30,9 +30,16 @@ def times_in(times: Any, unit: str) -> Array:
     """Time stamps (T,) in a unit; dates count from the first of them, durations are as long as they are.
 
     ``times`` holds numbers, which are in the unit, or dates: datetime64, datetime objects, text as ISO 8601 has
-    it, or an index of dates, with a time zone or without. A missing date is NaN. Raises SeriesError for
-    anything else, and for dates in a unit of which it is not known how long it is.
+    it, or an index of dates, with a time zone or without. A missing date is NaN, and what is behind a mask.
+    Raises SeriesError for anything else, and for dates in a unit of which it is not known how long it is.
     """
+    found = _times_in(times, unit)
+    if isinstance(times, np.ma.MaskedArray):  # NumPy keeps what is behind the mask
+        found[np.ma.getmaskarray(times).ravel()] = np.nan
+    return found
+
+
+def _times_in(times: Any, unit: str) -> Array:
     array = np.asarray(times)
     if array.dtype.kind in "UO" and array.size and all(isinstance(x, str) for x in array.ravel()):
         array = np.array(_dates_of(array.ravel().tolist()), dtype=object)
@@ -48,6 +55,8 @@ def times_in(times: Any, unit: str) -> Array:
     if array.dtype.kind == "m":
         return np.asarray(array.ravel() / SECOND, dtype=float) / _seconds_of(unit)
     try:
+        if np.iscomplexobj(times):
+            raise ValueError("they are complex")
         return np.array(times, dtype=float).ravel()
     except (TypeError, ValueError) as error:
         raise SeriesError(f"t is neither numbers nor dates: {error}") from error

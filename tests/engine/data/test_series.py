@@ -77,6 +77,14 @@ def test_dates_are_counted_in_the_unit_of_the_series(unit, step):
         Series(np.zeros(4), t=t, time_unit="year")
 
 
+@pytest.mark.parametrize("t", [np.arange(3.0), np.datetime64("2024-01-01") + np.arange(3)])
+def test_a_masked_time_is_missing_and_a_complex_one_refused(t):
+    with pytest.raises(SeriesError, match="t is not finite at row 1"):
+        Series(np.zeros(3), t=np.ma.masked_array(t, mask=[False, True, False]), time_unit="day")
+    with pytest.raises(SeriesError, match="complex"):
+        Series(np.zeros(3), t=np.arange(3) + 1j)
+
+
 def test_what_is_masked_is_missing():
     y = np.ma.masked_equal([[1.0], [-999.0], [3.0]], -999.0)
     np.testing.assert_array_equal(Series(y).y, [[1.0], [np.nan], [3.0]])
