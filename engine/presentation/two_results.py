@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -48,6 +49,18 @@ def compare_results(one: Document, other: Document) -> dict[str, Any]:
         "held_out": [one and {key: one[key] for key in numbers} for one in beside("held_out")],
         "curves": list(_beside(curves)),
     }
+
+
+def likelihood_difference(c: Document) -> tuple[float, float | None] | None:
+    """How much larger the other's log-likelihood is, and the Monte Carlo error of that, if there is one.
+
+    None where they are not known, or not known to be of the same data.
+    """
+    pair = c["log_likelihood"]
+    if not c["same_data"] or None in pair or None in [one["value"] for one in pair]:
+        return None
+    error = math.hypot(*(one.get("standard_error") or 0.0 for one in pair))
+    return pair[1]["value"] - pair[0]["value"], error or None
 
 
 def _numbers(document: Document) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 from engine import words
 from engine.errors import OptionError
 from engine.presentation.report import comparison_html, comparison_notes
-from engine.presentation.two_results import compare_results
+from engine.presentation.two_results import compare_results, likelihood_difference
 from service import strict_json
 from service.cli.ending import wrong
 from service.cli.files import json_object
@@ -73,13 +73,17 @@ def _rows(c: dict[str, Any], names: Sequence[str]) -> Iterator[tuple[str, ...]]:
         if row["in_errors"] is not None:
             difference += f" ({words.number(row['in_errors'], 2)} standard errors)"
         yield row["name"], *cells, difference, words.tidy(row["unit"])
-    likelihoods = [one and one["value"] for one in c["log_likelihood"]]
-    yield from _numbers("log-likelihood", likelihoods, c["same_data"])
+    if any(c["log_likelihood"]):
+        gained = likelihood_difference(c)
+        cells = [_likelihood(one) for one in c["log_likelihood"]]
+        yield "log-likelihood", *cells, "" if gained is None else _plus_minus(*gained)
     held = [{o["output"]: o for o in (one or {}).get("outputs", ())} for one in c["held_out"]]
     for output in dict.fromkeys([*held[0], *held[1]]):
         errors = [each[output]["rmse"] if output in each else None for each in held]
         lost = ["diverges" if output in each else "" for each in held]
         yield from _numbers(f"held-out error of {output}", errors, c["same_held_out"], lost)
+    densities = [(one or {}).get("log_density") for one in c["held_out"]]
+    yield from _numbers("held-out log-density", densities, c["same_held_out"])
 
 
 def _numbers(
@@ -99,7 +103,15 @@ def _numbers(
 
 
 def _estimate(value: float, error: float | None, held: bool) -> str:
-    if held:
-        return f"{words.number(value, 5)} held"
-    shown = words.number(value, words.digits(value, error, 5))
+    return f"{words.number(value, 5)} held" if held else _plus_minus(value, error, 5)
+
+
+def _likelihood(one: dict[str, Any] | None) -> str:
+    if one is None or one["value"] is None:
+        return ""
+    return _plus_minus(one["value"], one.get("standard_error") or None, 6)
+
+
+def _plus_minus(value: float, error: float | None, most: int = 4) -> str:
+    shown = words.number(value, words.digits(value, error, most))
     return shown + ("" if error is None else f" +- {words.number(error, 2)}")

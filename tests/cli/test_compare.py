@@ -68,6 +68,23 @@ def test_two_results_side_by_side(rbps, records, tmp_path):
     assert (found["same_data"], found["same_held_out"]) == (True, True)
 
 
+def test_a_difference_of_log_likelihoods_has_the_errors_of_both(rbps, tmp_path):
+    """Those of particle filters may be as large as what is gained."""
+    seen = {"t": [0.0, 1.0, 2.0], "measured": {"y": [1.0, 2.0, 4.0]}, "y": {"y": [1.0, 2.0, 3.0]}}
+    for name, value, error in (("a", 1788.4, 3.0), ("b", 1817.07, 4.0)):
+        document = {
+            "estimate": {"q": {"value": 1.0, "unit": ""}},
+            "log_likelihood": {"value": value, "standard_error": error},
+            "examination": {"series": [{"free_run": {"curves": seen}}]},
+            "held_out": {"samples": 3, "log_density": value / 10.0, "outputs": []},
+        }
+        (tmp_path / f"{name}.json").write_text(json.dumps(document))
+    result = rbps("compare", "a.json", "b.json")
+    assert result.exit_code == 0, result.output
+    assert re.search(r"log-likelihood +1788.4 \+- 3 +1817.07 \+- 4 +28.67 \+- 5\n", result.stdout)
+    assert re.search(r"held-out log-density +178.84 +181.707", result.stdout)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -19,6 +19,7 @@ from engine.presentation.report.parts import (
     pretty,
     section,
 )
+from engine.presentation.two_results import likelihood_difference
 from engine.words import number
 
 SAID = {
@@ -82,12 +83,8 @@ def _likelihood(one: Document | None) -> str:
 
 
 def _likelihood_difference(c: Document) -> str:
-    pair = c["log_likelihood"]
-    if not c["same_data"] or None in pair or None in [one["value"] for one in pair]:
-        return ""
-    errors = [one.get("standard_error") or 0.0 for one in pair]
-    error = (errors[0] ** 2 + errors[1] ** 2) ** 0.5
-    return plus_minus(pair[1]["value"] - pair[0]["value"], error or None)
+    found = likelihood_difference(c)
+    return "" if found is None else plus_minus(*found)
 
 
 def _difference(pair: Sequence[Any], same: bool | None) -> float | None:
