@@ -56,6 +56,10 @@ def _said(item: Any, location: Sequence[str | int]) -> str:
         if last == "file":
             return "a file is sent beside the request with POST /jobs/upload; here are its numbers needed"
         return "there is no such member"
+    if kind.startswith("union_tag"):
+        return f"the kind of job is needed, one of {', '.join(_KINDS)}"
+    if list(location) == ["body"] and kind in ("missing", "model_attributes_type"):
+        return "a JSON object is needed"
     if kind.startswith("model_") and last == "model":
         return "the name of a model is needed, or an object with its name"
     return re.sub(r"^Value error, ", "", str(item["msg"]))

@@ -118,6 +118,19 @@ def test_bodies_that_are_no_request(client, body, status):
     assert answer.headers["content-type"] == "application/problem+json"
 
 
+@pytest.mark.parametrize(
+    "body", [b'{"model": "linear-2"}', b'{"kind": "fit"}', b"", b"[1]", b"null"]
+)
+def test_what_is_needed_is_said_where_a_request_is_none(client, body):
+    (error,) = client.post("/jobs", content=body, headers=JSON).json()["errors"]
+    kind = body.startswith(b"{")
+    assert error["field"] == ("kind" if kind else "")
+    said = (
+        "the kind of job is needed, one of estimate, smooth" if kind else "a JSON object is needed"
+    )
+    assert error["message"].startswith(said)
+
+
 def test_a_member_given_twice_is_refused(client):
     text = b'{"kind": "smooth", "model": "linear-2", "parameters": {"values": {"theta": 0, "theta": 1}}}'
     file = {"file": ("a.csv", b"y\n1\n2\n3\n")}
