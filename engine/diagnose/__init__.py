@@ -224,9 +224,9 @@ def diagnose(  # noqa: PLR0913
     clock = Clock(callback)
     done = kept_of(parts, model, records, options, clock.spent)
     plain = records.train
-    if early is not None:
-        done = replace(done, told=EarlyAnswer(early, model, plain, seed))
     part = plain.part(*rows_searched(model, theta, free, plain))
+    if early is not None:
+        done = replace(done, told=EarlyAnswer(early, model, plain, part, seed))
     clock.start("fit")
     check_no_rates(model, part, model.theta(theta))
 
@@ -339,8 +339,9 @@ def diagnose(  # noqa: PLR0913
     edge = about_edges(after.model, after.theta, after.free, [shown])
     notes.extend([edge] if edge else [])
     clock.start("symptoms")
+    uncertain = covariance_of(judged.before)
     symptoms = find_symptoms(
-        model, judged.before.theta, fine.records.train, covariance_of(judged.before), seed=seed
+        model, judged.before.theta, fine.records.train, uncertain, seed=seed, fitted=searched
     )
     clock.progress("symptoms", 1.0)
 

@@ -30,8 +30,11 @@ SUSPECT = 0.05  # p-value of a single score from which it is said
 class EarlyAnswer:
     """Told the finished parts of a diagnosis, tells what is known by them."""
 
-    def __init__(self, tell: Told, model: MixedModel, series: Series, seed: int) -> None:
+    def __init__(
+        self, tell: Told, model: MixedModel, series: Series, fitted: Series, seed: int
+    ) -> None:
         self._tell, self._model, self._series, self._seed = tell, model, series, seed
+        self._fitted = fitted
         self._document: dict[str, Any] | None = None
 
     def __call__(self, name: str, found: Any) -> None:
@@ -49,8 +52,9 @@ class EarlyAnswer:
         """None where the simulation cannot be made: the diagnosis will say why."""
         model, errors = self._model, fit.standard_errors.tolist()
         try:
+            uncertain = covariance_of(fit)
             symptoms = find_symptoms(
-                model, fit.theta, self._series, covariance_of(fit), seed=self._seed
+                model, fit.theta, self._series, uncertain, seed=self._seed, fitted=self._fitted
             )
         except EngineError:
             return None

@@ -97,14 +97,26 @@ def _at_samples(path: MomentPath, series: Series) -> MomentPath:
     return replace(path, F=whole, **{name: getattr(path, name)[rows] for name in names})
 
 
+def _rows_of(fitted: Series | None, series: Series) -> slice:
+    """As many rows of a series as were fitted, from their first on; all where they are joined records."""
+    if fitted is None or fitted.begins:
+        return slice(None)
+    first = int(np.searchsorted(series.t, fitted.t[0]))
+    return slice(first, first + len(fitted.samples))
+
+
 def find_symptoms(
     model: MixedModel,
     theta: ThetaLike,
     series: Series,
     covariance: Array | None = None,
     seed: int = 0,
+    fitted: Series | None = None,
 ) -> Symptoms:
     """Compare a model at theta with a series; ``covariance`` (n_theta, n_theta) is theta's uncertainty.
+
+    Whether predictions are random is asked of the rows that theta was ``fitted`` to, a part of the series: over
+    many more than those its errors show, and are no fault of the model.
 
     The free run starts at the first state as estimated from the first tenth of the rows and sees no
     measurement after that; its 95 % band holds the uncertainty of the first state, of theta, of the
@@ -140,7 +152,7 @@ def find_symptoms(
                 f"The free run runs away: from t = {when} on it is further off than "
                 f"{AWAY_RANGES:g} times the range of the readings."
             )
-    white = whiteness(z, tuple(model.outputs))
+    white = whiteness(z[_rows_of(fitted, series)], tuple(model.outputs))
     for comparison, what in ((free, "simulation"), (one_step, "prediction")):
         if comparison is None:
             continue

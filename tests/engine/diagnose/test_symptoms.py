@@ -114,6 +114,21 @@ def test_newey_west_of_white_and_of_correlated_errors():
 
 
 @pytest.mark.long
+def test_predictions_are_called_random_or_not_over_the_rows_that_were_fitted():
+    """A variance known from 300 rows is off by a little, which shows over 8000, of a model that is right."""
+    series = simulate(LEVEL, None, 8000, np.random.default_rng(1)).series
+    part, off = series.part(0, 300), LEVEL.theta() * np.array([1.6, 1.0, 1.0])
+    (every,) = find_symptoms(LEVEL, off, series).whiteness
+    (found,) = find_symptoms(LEVEL, off, series, fitted=part).whiteness
+    (alone,) = find_symptoms(LEVEL, off, part).whiteness
+    assert every.p_value < 1e-3
+    assert found.p_value > 0.01
+    assert found.statistic == pytest.approx(alone.statistic)
+    later = series.part(1000, 1300)
+    assert find_symptoms(LEVEL, off, series, fitted=later).whiteness[0].statistic != found.statistic
+
+
+@pytest.mark.long
 def test_clean_linear_series_mostly_show_nothing():
     odd = 0
     for seed in range(7, 15):
