@@ -146,7 +146,7 @@ def _assigned(
             if channel not in found:
                 raise wrong(
                     f"{table.file}: no column for the {what} '{channel}'; say which it is with "
-                    f"--map {channel}=COLUMN. There are {', '.join(table.columns)}"
+                    f"--map {channel}=COLUMN. There are {table.there()}"
                 )
     return {one: found[one] for one in outputs}, {one: found[one] for one in model.inputs}
 

@@ -10,6 +10,7 @@ from importlib.metadata import version
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import engine
 from engine.diagnose.search import pipeline as causes
@@ -53,7 +54,7 @@ WRONG = {
     "a test on another clock": (("fit", "flows.csv", *LEVEL, "--test", "hours.csv"), "times of one series are in s, of another in h"),
     "unknown channel": (("fit", "flows.csv", *LEVEL, "--map", "rain=flow"), "--map rain=flow: model 'local-level' has no output or input 'rain'; it has flow"),
     "unknown column": (("fit", "flows.csv", *LEVEL, "--map", "flow=rain"), "--map flow=rain: flows.csv has no column 'rain'; there are year, flow"),
-    "no column": (("fit", "rain.csv", "-m", "mine.py"), "rain.csv: no column for the output 'reading'; say which it is with --map reading=COLUMN. There are year, flow, rain"),
+    "no column": (("fit", "rain.csv", "-m", "mine.py"), "rain.csv: no column for the output 'reading'; say which it is with --map reading=COLUMN. There are 'year', 'flow', 'rain'"),
     "no column of times": (("fit", "flows.csv", *LEVEL, "--time", "t"), "no column 't'"),
     "text in a column": (("fit", "text.csv", *LEVEL), "text.csv, line 3, column 'flow': 'wet' is not a number"),
     "no text": (("fit", "noise.csv", *LEVEL), "noise.csv, line 1: not UTF-8 text"),
@@ -267,6 +268,14 @@ def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, mo
         result = rbps(*command, *LEVEL, "--plot", "figures")
         assert result.exit_code == 2
         assert "pip install 'rbps[plot]'" in result.stderr
+
+
+@pytest.mark.long
+def test_what_a_file_holds_that_is_no_table_is_said(rbps, folder):
+    savemat(folder / "logged.mat", {"data": {"flow": [1.0, 2.0, 3.0]}})
+    result = rbps("fit", "logged.mat", *LEVEL)
+    assert result.exit_code == 2
+    assert "There are nothing (not usable: 'data' is not" in " ".join(result.output.split())
 
 
 def test_inputs_in_another_unit_are_refused(rbps, folder):
