@@ -16,8 +16,7 @@ SURE = 0.1  # of alpha: what is as improbable as that by chance needs no other d
 
 def is_faint(search: Search, alpha: float) -> bool:
     """Whether all that a search at a level ``alpha`` of false alarms saw may be chance."""
-    screens = [one.screen for one in search.rounds]
-    return not any(seen.at_floor or seen.p_value <= SURE * alpha for seen in screens)
+    return all(one.screen.p_value > SURE * alpha for one in search.rounds)
 
 
 def taken_for_chance(search: Search, gain: Gain | None, alpha: float) -> str:

@@ -14,10 +14,10 @@ from engine.diagnose.judging.findings import Verdict
 from tests.engine.diagnose.test_falls_short import LOSS
 
 
-def search(*p_values, floor=0.003):
+def search(*p_values):
     """One with these p-values of its rounds; what leads the first is named."""
     led = SimpleNamespace(effect=SimpleNamespace(name="drag:v"))
-    screens = [SimpleNamespace(p_value=p, at_floor=p <= floor) for p in p_values]
+    screens = [SimpleNamespace(p_value=p) for p in p_values]
     return SimpleNamespace(rounds=[SimpleNamespace(screen=one) for one in screens], named=(led,))
 
 
@@ -31,7 +31,6 @@ def test_a_faint_finding_that_loses_elsewhere_is_chance():
     ("p_values", "changed", "alpha"),
     [
         ((0.004, 0.6), {}, 0.05),  # too improbable
-        ((0.003, 0.6), {}, 0.02),  # as improbable as draws can tell
         ((0.02, 0.003, 0.6), {}, 0.05),  # something else is clear beside it
         ((0.02, 0.6), {"log_density": -0.9}, 0.05),  # as good as no loss
         ((0.02, 0.6), {"log_density": 3.0}, 0.05),
