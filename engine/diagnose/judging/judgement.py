@@ -14,7 +14,7 @@ from engine.diagnose.judging.contradictions import already_there, as_open, folde
 from engine.diagnose.judging.dependent_rows import dependent_rows
 from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.lack_of_fit import LEVEL, LackOfFit, lack_of_fit
-from engine.diagnose.judging.one_event import as_one_event
+from engine.diagnose.judging.one_event import as_between_samples, as_one_event
 from engine.diagnose.judging.small_rest import is_small
 from engine.diagnose.judging.verdict import doubts, verdict_of
 from engine.diagnose.refits.checkpoint import Kept
@@ -75,7 +75,8 @@ def judged(
             f"(2 x log-likelihood {worth:.0f}): those within it are not told apart."
         )
     found, at_once = as_one_event(found, series)
-    notes.extend(filter(None, [at_once]))
+    found, parts = as_between_samples(found, series)
+    notes.extend(filter(None, [at_once, *parts]))
     verdict = verdict_of(found, alpha)
     if unnamed and verdict in NAMES:
         verdict = Verdict.UNKNOWN

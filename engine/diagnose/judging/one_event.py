@@ -3,6 +3,9 @@
 It alters all parameters that it enters, so a search finds several steps in turn, each with a time of its own.
 Each of these was the best beside others that were not found yet, so one time may explain the data even better.
 Where it does as well as several, they are no patches on a cause without a name.
+
+Nor is a pulse of one sample next to a step. Steps of a model come at samples, in nature between two of them:
+the pulse makes up for the part of that one sample.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ BESIDE = 5  # samples before and after them, as their own times are those of a g
 REFITTED = 3  # of them
 ITERATIONS = 10  # of the other parameters' fit beside one time
 BY_CHANCE = 0.05  # that several times explain so much more than one
+NEXT = 1.5  # samples from a step to a pulse that is a part of it: the next, whatever rounding does to times
 
 
 def as_one_event(found: Search, series: Series) -> tuple[Search, str]:
@@ -52,6 +56,29 @@ def as_one_event(found: Search, series: Series) -> tuple[Search, str]:
                 f"at t = {when} explains as much as a time of its own for each."
             )
     return found, ""
+
+
+def as_between_samples(found: Search, series: Series) -> tuple[Search, tuple[str, ...]]:
+    """The search with pulses by which a step came between two samples as a part of it; and sentences."""
+    if series.begins:
+        return found, ()
+    theta, step = found.final.theta.asdict(), NEXT * series.usual_step
+    effects = [one.effect for one in found.named if _time(one.effect) in theta]
+    steps = [effect for effect in effects if effect.traits.course is Course.STEP]
+    told = []
+    for pulse in effects:
+        at, width = theta[_time(pulse)], theta.get(f"{pulse.size.name}_width", np.inf)
+        if pulse.traits.course is not Course.PULSE or width > step:
+            continue
+        near = [one for one in steps if abs(theta[_time(one)] - at) < step]
+        if not near:
+            continue
+        found = replace(found, at_once=(*(found.at_once or (near[0].name,)), pulse.name))
+        told.append(
+            f"{pulse.name} lasts one sample, next to {near[0].name}: both are one event, which came between "
+            "two samples."
+        )
+    return found, tuple(told)
 
 
 def _time(effect: Effect) -> str:

@@ -123,7 +123,8 @@ def patchwork(search: Search, alpha: float) -> str:
     how the rest of a cause looks that another effect explains in part, unless each gains more beside the
     other than by itself; or where something is still seen, at ``LEFT * alpha``, after two effects or after
     noise. Outliers, which hide others, count in the last rule only, and an error of the model's steps in none.
-    Steps that came at one time count as one, and so do a wave and its overtones.
+    Steps that came at one time, with pulses that are a part of them, count as one. So do a wave and its
+    overtones.
     """
     # what the model's own steps get wrong is there beside whatever is found
     found = [one.effect for one in search.named if not as_foreseen(one.effect, one.fit)]

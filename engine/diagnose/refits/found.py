@@ -21,7 +21,7 @@ class Search:
     explain as much as those found in turn, and are others. ``by_the_steps`` decide the first round, so that
     it ended there, to be begun with shorter ones. ``begun`` is the first round as it was found, with nothing
     beside it; ``small_rest`` where what was seen after it is left without a name;
-    ``at_once`` are steps that came at one time, one event.
+    ``at_once`` are steps that came at one time, and pulses that are a part of them, one event.
     """
 
     base: QuasiFit

@@ -8,7 +8,7 @@ import pytest
 import engine
 from engine.diagnose import diagnose, extend, make_effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.judging.one_event import as_one_event
+from engine.diagnose.judging.one_event import as_between_samples, as_one_event
 from engine.diagnose.judging.verdict import patchwork, verdict_of
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refitted import Refit
@@ -134,3 +134,25 @@ def test_a_wave_and_its_overtone_are_one(second, said):
         has_noise_apart=False,
     )
     assert patchwork(search, 0.05) == said
+
+
+@pytest.mark.parametrize(
+    ("at", "width", "one"),
+    [(19.9, 0.1, True), (20.1, 0.1, True), (19.7, 0.1, False), (20.0, 0.5, False)],
+)
+def test_a_pulse_of_one_sample_next_to_a_step_is_its_part(at, width, one):
+    """A line trips between two samples: what it does in the rest of that sample looked like a second cause."""
+    names = ["parameter-step:push", "pulse:speed", "drag:speed"]
+    effects = [make_effect(name, Setting(LIFT)) for name in names]
+    step, pulse = (effect.size.name for effect in effects[:2])
+    values = {f"{step}_time": 20.0, f"{pulse}_time": at, f"{pulse}_width": width}
+    fit = SimpleNamespace(theta=SimpleNamespace(asdict=lambda: values))
+    refits = [Refit(effect, fit, 50.0, 50.0) for effect in effects]
+    rounds = tuple(
+        Round(SimpleNamespace(p_value=0.6), (refit,), None, (refit,)) for refit in refits
+    )
+    series = engine.Series(np.zeros(T), u=np.zeros(T), dt=DT)
+    search, told = as_between_samples(Search(fit, fit, rounds, False), series)
+    assert search.at_once == (tuple(names[:2]) if one else ())
+    assert [note.startswith("pulse:speed lasts one sample") for note in told] == [True] * one
+    assert patchwork(search, 0.05) == ("" if one else "more than 2 effects are needed")
