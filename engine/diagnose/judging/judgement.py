@@ -16,7 +16,7 @@ from engine.diagnose.judging.findings import Verdict
 from engine.diagnose.judging.lack_of_fit import LEVEL, LackOfFit, lack_of_fit
 from engine.diagnose.judging.one_event import as_between_samples, as_one_event
 from engine.diagnose.judging.small_rest import is_small
-from engine.diagnose.judging.verdict import doubts, verdict_of
+from engine.diagnose.judging.verdict import doubts, names_of, verdict_of
 from engine.diagnose.refits.checkpoint import Kept
 from engine.diagnose.refits.found import Search
 from engine.diagnose.refits.refitted import Refit
@@ -124,8 +124,10 @@ def judged(
     doubted = verdict not in NAMES or read or bool(found.of_the_steps)
     shape = None if doubted else _shape_left(found, series, setting, seed)
     if shape is not None and is_small(shape.statistic, found, series):
-        notes.append(shape.of_a_rest)
-        shape = None
+        # the rest is of the cause's own shape, which decides between names that are as near as that
+        wide = _with_all_within(found, shape.statistic, series, setting)
+        notes.append(shape.of_a_rest if wide is found else shape.of_a_rest_that_decides)
+        found, verdict, shape = wide, names_of(wide), None
     if shape is not None:
         notes.append(shape.sentence)
         why.append(shape.sentence)
@@ -159,16 +161,21 @@ def _widened(found: Search, series: Series, setting: Setting, kept: Kept) -> tup
         )
     except (EngineError, np.linalg.LinAlgError):
         return found, 0.0
-    if not worth:
-        return found, 0.0
+    wide = _with_all_within(found, worth, series, setting)
+    return (found, 0.0) if wide is found else (wide, worth)
+
+
+def _with_all_within(found: Search, worth: float, series: Series, setting: Setting) -> Search:
+    """The search with all in the set of its first name whose score is so near; itself where none is."""
+    first = next(r for r in found.rounds if r.equivalent)
     refits = [*first.refits, *([] if first.generic is None else [first.generic])]
     wide = settle(first.screen, refits, series, setting, max(MARGIN, worth))
     if {*wide.equivalent} <= {*first.equivalent}:
-        return found, 0.0
+        return found
     lead = first.refits[0]  # stays, as the last fit holds it
     wide = replace(wide, refits=_led(lead, wide.refits), equivalent=_led(lead, wide.equivalent))
     at = found.rounds.index(first)
-    return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :])), worth
+    return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :]))
 
 
 def _led(lead: Refit, refits: Sequence[Refit]) -> tuple[Refit, ...]:

@@ -83,6 +83,14 @@ class LackOfFit:
         return f"{self._left}: a small part of what was wrong, which leaves the cause its name."
 
     @property
+    def of_a_rest_that_decides(self) -> str:
+        """The same where others are behind by less."""
+        return (
+            f"{self._left}: a small part of what was wrong, and worth as much as the lead of a name over "
+            "others. Those within it are not told apart."
+        )
+
+    @property
     def _left(self) -> str:
         product = " * ".join(self.largest)
         return (
