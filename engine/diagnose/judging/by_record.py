@@ -317,7 +317,9 @@ def of_gain(gain: float, freedom: int, rows: int, left: int) -> float:
     """
     if not gain > 0.0 or left < 1:
         return 1.0
-    return f_sf(float(np.expm1(gain / rows)) * left / freedom, freedom, left)
+    with np.errstate(over="ignore"):  # beyond all numbers nothing is chance
+        ratio = float(np.expm1(gain / rows))
+    return f_sf(ratio * left / freedom, freedom, left)
 
 
 def values_told(H: Array, p: int, own: Mask) -> int:

@@ -22,12 +22,13 @@ FINE = 0.1  # of the way from the time that was found: how finely an end of the 
 def times_as_likely(found: Search, series: Series) -> list[str]:
     """A sentence for each step that was named, and that other times explain as well as its own.
 
-    Where nothing happens that shows it, a step may have come hours before or after. Its time is one of a grid
-    and has no standard error.
+    Where nothing happens that shows it, a step may have come hours before or after, or with the next record.
+    Its time is one of a grid and has no standard error.
     """
     named = [r.refits[0].effect for r in found.rounds if r.equivalent]
-    if series.begins or any(effect.traits.outliers for effect in named):
-        return []  # of several records each has a clock; outliers are judged by another filter
+    in_order = bool((np.diff(series.t) > 0.0).all())
+    if not in_order or any(effect.traits.outliers for effect in named):
+        return []  # records at one time are no row of times; outliers are judged by another filter
     steps = [effect for effect in named if effect.traits.course is Course.STEP]
     return [text for effect in steps if (text := _said(effect, found.final, series))]
 
@@ -51,7 +52,7 @@ def _said(effect: Effect, fit: QuasiFit, series: Series) -> str:
     first, last = _end(as_likely, row, 1), _end(as_likely, row, len(t) - 2)
     if last - first <= 1:
         return ""
-    step, unit = series.dt, series.time_unit
+    step, unit = series.usual_step * series.substeps, series.time_unit
     return (
         f"{effect.name} may have come at any time from {moment(float(t[first]), step, unit)} to "
         f"{moment(float(t[last]), step, unit)}: 2 x log-likelihood is at most {number(WITHIN)} lower there."

@@ -171,6 +171,7 @@ def test_what_many_rows_gain_is_chi_squared_and_what_few_gain_is_less_sure():
     assert of_gain(20.0, 5, 100_000, 99_990) == pytest.approx(float(chi2_sf(20.0, 5)), rel=0.01)
     assert of_gain(20.0, 5, 40, 30) > 3.0 * float(chi2_sf(20.0, 5))
     assert of_gain(-1.0, 5, 40, 30) == of_gain(9.0, 5, 6, 0) == 1.0
+    assert of_gain(1e6, 5, 40, 30) == 0.0  # without a warning of NumPy
 
 
 def test_what_shared_parameters_make_up_for_is_no_value_of_a_record():

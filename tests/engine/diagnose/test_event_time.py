@@ -62,6 +62,20 @@ def test_a_step_while_nothing_happens_has_a_range_of_times(quiet):
     assert "min to" in text
 
 
+@pytest.mark.long
+def test_a_step_that_came_with_a_record_has_a_range_into_the_one_before():
+    """The first ends with 50 minutes in which nothing happens."""
+    whole = record(quiet=True)
+    pair = [whole.part(0, STEP), whole.part(200, 300)]
+    found = diagnose(room(), pair, effects=["parameter-step"], seed=1, held_out=0)
+    assert [cause.effect for cause in found.causes] == ["parameter-step:rate"]
+    (text,) = [note for note in found.notes if "may have come at any time" in note]
+    words = text.split()
+    first, last = (float(words[words.index(one) + 1]) for one in ("from", "to"))
+    assert 100.0 < first < 135.0
+    assert 199.0 < last < 205.0
+
+
 @pytest.mark.parametrize(
     ("row", "last", "to", "end"),
     [
