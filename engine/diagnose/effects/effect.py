@@ -42,9 +42,10 @@ class Effect:
     ``extend`` the extension; ``probes`` values of the other parameters at which the screen looks (one row
     each); ``look_alikes`` kinds that leave similar traces, with what tells them apart; ``one_sided`` whether
     only a positive size makes sense (a variance); ``held`` those of its parameters that are a reference, not to
-    be estimated; ``zero`` the one among them that is the zero the effect counts from, where nothing declares or
-    tells it: it may be estimated after all, where the data can tell; ``spread`` the one that is 0 where a
-    memory begins at rest, which is tried, too; ``before`` the one that is what an input was until the record,
+    be estimated; ``manners`` those of them that are 0 or 1, both of which are tried at a refit; ``zero`` the
+    one among them that is the zero the effect counts from, where nothing declares or tells it: it may be
+    estimated after all, where the data can tell; ``spread`` the one that is 0 where a memory begins at rest,
+    which is tried, too; ``before`` the one that is what an input was until the record,
     where it may have been off, as is tried as well; ``readings(y, size)`` what it does to a channel's finished
     readings (T,), where the extension only stands for that (rounding as noise); ``shown`` the size that the
     readings themselves show, if they do: it is known then, and no parameter; ``runs(t, u, own)`` what is added
@@ -63,6 +64,7 @@ class Effect:
     look_alikes: dict[str, str] = field(default_factory=dict)
     one_sided: bool = False
     held: tuple[str, ...] = ()
+    manners: tuple[str, ...] = ()
     zero: str | None = None
     spread: str | None = None
     before: str | None = None
@@ -441,3 +443,13 @@ def per_point(matrix: Array, M: int, *factors: Any) -> Array:
     if matrix.ndim == 2 and any(np.ndim(factor) > 0 for factor in factors):
         return np.repeat(matrix[None], M, axis=0)
     return matrix.copy()
+
+
+def with_part(R: Array, row: int, left: Any, M: int) -> Array:
+    """R with what is ``left``, a number or (M,), of the variance of one reading's noise."""
+    share = np.sqrt(left)
+    R = per_point(R, M, share)
+    share = np.reshape(share, (-1, 1)) if np.ndim(share) else share
+    R[..., row, :] *= share
+    R[..., :, row] *= share
+    return R

@@ -1,4 +1,4 @@
-"""What else may be estimated of a refit's effect: another beginning, its zero, one limit, no size at all.
+"""What else may be tried of a refit's effect: its manners, another beginning, its zero, one limit, no size.
 
 Each form is taken where its score is the better one; a parameter more counts as any other.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -28,9 +29,44 @@ def best_form(
     visited: Visited | None = None,
 ) -> Refit:
     """The refit with what else is known, or may be estimated, of its effect."""
-    begun = _with_other_beginning(refit, null, series)
+    begun = _with_other_beginning(_in_best_manner(refit, null, series), null, series)
     zero = _with_zero(begun, null, series, elsewhere, Visited() if visited is None else visited)
     return _with_shown_size(_on_one_side(zero, null, series), null, series)
+
+
+def _in_best_manner(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit in whichever manner of its effect is the likeliest, at whichever probe that begins best."""
+    effect, known = refit.effect, refit.fit
+    if not effect.manners:
+        return refit
+    names = [p.name for p in effect.parameters]
+    own = slice(len(known.theta) - len(names), len(known.theta))
+    at = [names.index(name) for name in effect.manners]
+    probed = np.array([[i not in at and name in effect.held for i, name in enumerate(names)]])
+    best, first = known, np.asarray(known.theta)
+    for values in product((0.0, 1.0), repeat=len(at)):
+        if np.array_equal(first[own][at], values):
+            continue
+        starts = np.repeat(first[None], len(effect.probes), axis=0)
+        probes = np.array([[np.nan, *probe] for probe in effect.probes])
+        starts[:, own] = np.where(probed, probes, starts[:, own])
+        starts[:, own.start + np.array(at)] = values
+        try:
+            here = log_likelihoods(known.model, [series], starts)
+            start = starts[int(np.argmax(np.where(np.isfinite(here), here, -np.inf)))]
+            found = quasi_ml(
+                known.model,
+                series,
+                start,
+                known.free,
+                tolerance=TOLERANCE,
+                target=best.log_likelihood,
+                hope=HOPE,
+            )
+        except (EngineError, np.linalg.LinAlgError):
+            continue
+        best = max(best, found, key=lambda one: one.log_likelihood)
+    return refit if best is known else weighed(effect, best, null, series)
 
 
 def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:

@@ -158,39 +158,32 @@ def _at_next_probes(
 ) -> QuasiFit:
     """The fit moved from probe to probe where these differ in what is held, as long as the likelihood rises.
 
-    One held parameter after the other, up or else down. Beside a large delay of another length all parameters
-    are bent, and so was the choice of it. One that comes late as a whole is later by as much: a share of it
-    that comes later still would lead back.
+    Beside a large delay of another length all parameters are bent, and so was the choice of it. One that comes
+    late as a whole is later by as much: a share of it that comes later still would lead back.
     """
     apart, values = probed_apart(effect)
     at = n + 1 + np.array(apart, dtype=int)
     if len(values) == 1 or tuple(np.asarray(found.theta)[at].tolist()) not in values:
         return found
-
-    def moved(found: QuasiFit, column: int, step: int) -> QuasiFit:
-        own = sorted({value[column] for value in values})
+    first = found
+    for step in (1, -1):
+        if found is not first:  # from where it came
+            break
         while True:
             there = np.array(found.theta)
-            here = there[at[column]]
-            k = own.index(here) + step
-            if not 0 <= k < len(own):
-                return found
-            there[at[column]] = own[k]
-            if tuple(there[at].tolist()) not in values:
-                return found
+            k = values.index(tuple(there[at].tolist())) + step
+            if not 0 <= k < len(values):
+                break
             if effect.traits.whole:
-                there[n] += own[k] - here
+                there[n] += values[k][0] - values[k - step][0]
+            there[at] = values[k]
             try:
-                further = climb(there, target=max(target, found.log_likelihood), hope=HOPE)
+                moved = climb(there, target=max(target, found.log_likelihood), hope=HOPE)
             except (EngineError, np.linalg.LinAlgError):
-                return found
-            if not further.log_likelihood > found.log_likelihood:
-                return found
-            found = further
-
-    for column in range(len(apart)):
-        up = moved(found, column, 1)
-        found = moved(found, column, -1) if up is found else up
+                break
+            if not moved.log_likelihood > found.log_likelihood:
+                break
+            found = moved
     return found
 
 

@@ -1,4 +1,4 @@
-"""A filter of readings as loggers have it: a recursion at the samples, which may smooth their noise as well."""
+"""Filters of a logger: a recursion at the samples or a moving average, which may smooth the noise as well."""
 
 from dataclasses import replace
 
@@ -128,3 +128,41 @@ def test_a_digital_filter_in_the_logger_is_named(smooths):
     assert abs(cause.size - dt * keep / (1.0 - keep)) < 4.0 * cause.standard_error
     theta = found.theta.asdict()
     assert (theta[MANNER[1]], theta[MANNER[2]]) == (1.0, float(smooths))
+
+
+EVENLY = "delay_tacho", "delay_tacho_samples", "delay_tacho_evenly", "delay_tacho_noise"
+
+
+def averaged(x, m):
+    """The mean of the last m, settled at first."""
+    return np.convolve(np.concatenate([np.full(m - 1, x[0]), x]), np.full(m, 1.0 / m), "valid")
+
+
+def test_parts_that_come_evenly_late_are_a_moving_average_of_readings_and_their_noise():
+    rng, m, n, r = np.random.default_rng(4), 4, 60, 0.2
+    series = engine.Series(np.zeros(n), 5.0 * levels(rng, n), dt=0.02)
+    base = motor(known=True)
+    late = extend(base, ["delay:tacho"], setting_for(base, series, np.asarray(base.theta())))
+    plain, _ = noise_free(base, np.asarray(base.theta()), series, np.array([0.0]))
+    mixing = np.apply_along_axis(averaged, 0, np.eye(n), m)
+    for noise in (0.0, 1.0):
+        own = dict(zip(EVENLY, ((m - 1) / 2, m - 1.0, 1.0, noise), strict=True)) | {"r": r}
+        theta = np.asarray(late.theta(own))
+        y, _ = noise_free(late, theta, series, np.zeros(late.nx))
+        np.testing.assert_allclose(y[:, 0], averaged(plain[:, 0], m), atol=1e-9)
+        shared = r * (m * mixing @ mixing.T if noise else np.eye(n))
+        e = np.random.default_rng(5).multivariate_normal(np.zeros(n), shared)
+        value = moment_filter(late, theta[None], replace(series, y=y + e[:, None]))
+        exact = multivariate_normal(np.zeros(n), shared).logpdf(e)
+        assert value.log_likelihood[0] == pytest.approx(exact, abs=1e-2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("m", "noise_too"), [(4, True), (4, False), (6, True)])
+def test_a_moving_average_of_the_logger_is_named(m, noise_too):
+    v, speeds, noise = turning(12)
+    y = averaged(speeds + noise, m) if noise_too else averaged(speeds, m) + noise
+    found = engine.diagnose(motor(), engine.Series(y, v, dt=0.02), effects=RIVALS, seed=1)
+    assert [cause.effect for cause in found.causes] == ["delay:tacho"]
+    theta = found.theta.asdict()
+    assert (theta[EVENLY[1]], theta[EVENLY[2]], theta[EVENLY[3]]) == (m - 1.0, 1.0, noise_too)

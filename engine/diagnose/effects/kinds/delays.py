@@ -16,33 +16,43 @@ from engine.diagnose.effects.augmentation import (
     spread_at_first,
 )
 from engine.diagnose.effects.channels import Kind, at_outputs, at_terminals
-from engine.diagnose.effects.effect import Effect, Split, per_point
+from engine.diagnose.effects.effect import Effect, Split, per_point, with_part
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input
 
 LONGEST_DELAY = 12  # samples
+LEFT = 1e-6  # of the variance of noise that something is done to: what still comes after it
 AFFINE = 1e-9  # share of its change by which a function may bend and count as straight
 
 
 def _lag(setting: Setting, channel: str, name: str) -> Effect:
     """A share of the reading comes one sample late."""
+    noise = _noise_too(name)
     return Effect(
         "lag",
         channel,
         "measurement",
         f"lag of the sensor {channel}",
         f"{channel} = (1 - {name}) y_t + {name} y_(t-1)",
-        (Parameter(name, 0.0, "1", (0.0, 1.0), "share that comes one sample late"),),
+        (Parameter(name, 0.0, "1", (0.0, 1.0), "share that comes one sample late"), noise),
         lambda model: _late_reading(model, setting, channel, 1, lambda own: [own[0]]),
+        probes=((0.0,),),
         one_sided=True,
         look_alikes={
             "delay": "delays the input, or the reading by several samples",
             "colored": "is not driven by y",
             "slow-sensor": "goes on fading after one sample",
         },
+        held=(noise.name,),
+        manners=(noise.name,),
     )
+
+
+def _noise_too(name: str) -> Parameter:
+    """Whether what a logger does to a reading it does to the noise that was in it."""
+    return Parameter(f"{name}_noise", 0.0, "1", (0.0, 1.0), "1: to the noise as well")
 
 
 def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
@@ -51,10 +61,17 @@ def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
     Delays of the two are the same on a linear plant that begins at rest. So neither may be more free than the
     other: a share that comes late, up to one and a half, once fitted the noise and gave the sensor the name.
     A lag ends at one sample, which an input's delay does not, so the latest part may be one sample late, too.
+    All parts up to the latest may come alike: a moving average.
     """
+    evenly = Parameter(f"{name}_evenly", 0.0, "1", (0.0, 1.0), "1: a moving average until then")
+    noise = _noise_too(name)
 
     def weights(own: Any) -> list[Any]:
-        parts = _parts(own, LONGEST_DELAY)
+        apart = _parts(own, LONGEST_DELAY)
+        size, latest = np.reshape(own[0], (-1, 1)), np.reshape(own[1], (-1, 1))
+        each = np.minimum(2.0 * size / latest, 1.0) / (latest + 1.0)
+        alike = each * (np.arange(1, LONGEST_DELAY + 1) <= latest)
+        parts = apart + np.reshape(own[2], (-1, 1)) * (alike - apart)
         return list(parts[0] if len(parts) == 1 else parts.T)
 
     return Effect(
@@ -62,24 +79,28 @@ def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
         channel,
         "measurement",
         f"delay of the sensor {channel}",
-        f"{channel} = y_t + {name} / d (y_(t-d) - y_t),  d = {name}_samples; y_(t-{name}) where that is longer",
+        f"{channel} = y_t + {name} / d (y_(t-d) - y_t),  d = {name}_samples; y_(t-{name}) where that is more; "
+        f"where {evenly.name} is 1 a moving average over d + 1 samples",
         (
             Parameter(name, 0.0, "samples", (0.0, float(LONGEST_DELAY)), "mean delay"),
             Parameter(
                 f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "latest part"
             ),
+            evenly,
+            noise,
         ),
         lambda model: _late_reading(model, setting, channel, LONGEST_DELAY, weights),
-        probes=tuple((float(d),) for d in range(1, LONGEST_DELAY + 1)),
+        probes=tuple((float(d), 0.0, 0.0) for d in range(1, LONGEST_DELAY + 1)),
         look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
-        held=(f"{name}_samples",),
+        held=(f"{name}_samples", evenly.name, noise.name),
+        manners=(evenly.name, noise.name),
         one_sided=True,
         traits=Traits(whole=True, contains=("lag",)),  # of a sample or less, it is one
     )
 
 
 def _late_reading(
-    model: MixedModel,
+    base: MixedModel,
     setting: Setting,
     channel: str,
     depth: int,
@@ -89,10 +110,19 @@ def _late_reading(
 
     They are y_1 at first, as of a sensor that has settled, and pass on from sample to sample.
     """
-    split = Split(model)
+
+    def kept(own: Any) -> Any:
+        """What is left of the variance of noise on y."""
+        late = weights(own)
+        return (1.0 - sum(late)) ** 2 + sum(weight**2 for weight in late)
+
+    model, split = _noise_inside(base, setting, channel, kept), Split(base)
     row, nx, nz = list(model.outputs).index(channel), model.nx, model.nz
     shift, hold = np.eye(depth, k=-1), np.eye(depth)
     u1 = np.array([setting.first(name) for name in model.inputs])
+
+    def parts(theta: Any) -> tuple[Any, Any]:
+        return theta, split(theta)[1]  # the inner model takes the effect's values too
 
     def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
         h, C, _ = model.observation(a, u1, setting.span[0], record)
@@ -100,11 +130,10 @@ def _late_reading(
         return np.repeat(h[:, row, None], depth, axis=1), ones * C[..., row, None, :], 0.0
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-        own_base, _ = split(theta)
-        h, C, _ = model.observation(a, u, t, own_base)
+        h, C, _ = model.observation(a, u, t, theta)
         now = setting.at_sample(t)
         f, A, Q = beside(
-            model.transition(a, u, t, dt, own_base), len(a), _blocks(now, shift, hold), 0.0
+            model.transition(a, u, t, dt, theta), len(a), _blocks(now, shift, hold), 0.0
         )
         f[:, nx] = now * h[:, row]
         if C.ndim == 3 and A.ndim == 2:
@@ -113,9 +142,8 @@ def _late_reading(
         return f, A, Q
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        own_base, own = split(theta)
-        h, C, R = model.observation(a, u, t, own_base)
-        late = weights(own)
+        h, C, R = model.observation(a, u, t, theta)
+        late = weights(split(theta)[1])
         now = 1.0 - sum(late)
         h = h.copy()
         C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
@@ -127,8 +155,42 @@ def _late_reading(
         return h, C, R
 
     states = _register(setting, channel, depth)
-    late = add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+    late = add_linear_states(model, parts, states, dynamics, begin, measurement=measurement)
     return replace(late, steps_counted=setting.substeps)
+
+
+def _noise_inside(
+    model: MixedModel, setting: Setting, channel: str, kept: Callable[[Any], Any]
+) -> MixedModel:
+    """The model with noise on a reading before anything is done to it, where the last of ``own`` is 1.
+
+    It is a state then, and so large that what is ``kept`` of its variance is R. Nearly none comes afterwards.
+    """
+    split, row = Split(model), list(model.outputs).index(channel)
+    u1 = np.array([setting.first(name) for name in model.inputs])
+
+    def variance(a: Array, u: Any, t: Any, record: Any, own: Any) -> Any:
+        R = model.observation(a, u, t, record)[2]
+        return own[-1] * (1.0 - LEFT) / kept(own) * R[..., row, row]
+
+    def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
+        at_first = np.mean(variance(a, u1, setting.span[0], record, own))
+        return np.zeros((len(a), 1)), np.zeros((1, model.nz)), at_first
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        step = model.transition(a, u, t, dt, record)
+        return beside(step, len(a), [[0.0]], variance(a, u, t, record, own))
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        h, C, R = model.observation(a, u, t, record)
+        C = np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1)
+        C[..., row, -1] = 1.0
+        return h, C, with_part(R, row, 1.0 - own[-1] * (1.0 - LEFT), len(a))
+
+    states = {f"noise_{channel}": setting.unit(channel)}
+    return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
 
 
 def _blocks(now: Any, shift: Array, hold: Array) -> Any:

@@ -25,19 +25,18 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
 from engine.diagnose.effects.channels import Kind, at_outputs
-from engine.diagnose.effects.effect import Effect, Split, per_point
+from engine.diagnose.effects.effect import Effect, Split, per_point, with_part
+from engine.diagnose.effects.kinds.delays import LEFT
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel, Parameter
 
 FIRST = -1.0  # for p at the first time: there is no reading before
-LEFT = 1e-6  # of the variance of noise that is smoothed: what still comes after it
 
 
 def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
     slowest = max(0.5 * setting.length, 2.0 * setting.dt)
-    manners = (0.0, 1.0) if setting.tells_samples else (0.0,)
     return Effect(
         "slow-sensor",
         channel,
@@ -53,8 +52,9 @@ def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
             Parameter(f"{name}_noise", 0.0, "1", (0.0, 1.0), "1: the noise is smoothed as well"),
         ),
         lambda model: _late(model, setting, channel),
-        probes=tuple((digital, smooths) for smooths in (0.0, 1.0) for digital in manners),
+        probes=((0.0, 0.0),),
         held=(f"{name}_digital", f"{name}_noise"),
+        manners=(*([f"{name}_digital"] if setting.tells_samples else []), f"{name}_noise"),
         look_alikes={
             "lag": "is over after one sample",
             "delay": "comes late as a whole",
@@ -115,10 +115,8 @@ def _late(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
         h, C, R = inner.observation(a, u, t, theta)
         known = a[:, model.na]
         now, h = 1.0 - np.maximum(known, 0.0), h.copy()
-        left = np.sqrt(1.0 - split(theta)[1][2] * (1.0 - LEFT) * (known >= 0.0))
-        R = per_point(R, len(a), left)
-        R[:, row] *= left[:, None]
-        R[:, :, row] *= left[:, None]
+        left = 1.0 - split(theta)[1][2] * (1.0 - LEFT) * (known >= 0.0)
+        R = with_part(R, row, left, len(a))
         C = per_point(np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1), len(a), now)
         h[:, row] *= now
         C[:, row] *= now[:, None]
