@@ -45,12 +45,12 @@ class Effect:
     be estimated; ``manners`` those of them that are 0 or 1, both of which are tried at a refit; ``zero`` the
     one among them that is the zero the effect counts from, where nothing declares or tells it: it may be
     estimated after all, where the data can tell; ``spread`` the one that is 0 where a memory begins at rest,
-    which is tried, too; ``before`` the one that is what an input was until the record,
-    where it may have been off, as is tried as well; ``readings(y, size)`` what it does to a channel's finished
-    readings (T,), where the extension only stands for that (rounding as noise); ``shown`` the size that the
-    readings themselves show, if they do: it is known then, and no parameter; ``runs(t, u, own)`` what is added
-    to the parameter of the model that it changes, with the state on which it depends for u where it depends on
-    one; ``traits`` what the search must know of its kind.
+    which is tried, too; ``before`` the one that is what an input was until the record, where it may have been
+    off, as is tried as well; ``readings(y, size)`` what it does to a channel's finished readings (T,), where
+    the extension only stands for that (rounding as noise); ``shown`` the size that the readings themselves
+    show, if they do: it is known then, and no parameter; ``runs(t, u, own)`` what is added to the parameter of
+    the model that it changes, with the state on which it depends for u where it depends on one; ``traits``
+    what the search must know of its kind.
     """
 
     kind: str
@@ -443,13 +443,3 @@ def per_point(matrix: Array, M: int, *factors: Any) -> Array:
     if matrix.ndim == 2 and any(np.ndim(factor) > 0 for factor in factors):
         return np.repeat(matrix[None], M, axis=0)
     return matrix.copy()
-
-
-def with_part(R: Array, row: int, left: Any, M: int) -> Array:
-    """R with what is ``left``, a number or (M,), of the variance of one reading's noise."""
-    share = np.sqrt(left)
-    R = per_point(R, M, share)
-    share = np.reshape(share, (-1, 1)) if np.ndim(share) else share
-    R[..., row, :] *= share
-    R[..., :, row] *= share
-    return R

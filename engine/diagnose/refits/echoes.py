@@ -45,7 +45,7 @@ def _is_partial(found: Refit) -> bool:
     samples, error = _samples(found.fit.theta, found), found.standard_error
     if samples <= min(probe[0] for probe in found.effect.probes) or not np.isfinite(error):
         return False
-    return found.size + ERRORS * error < samples - 1.0
+    return found.size + ERRORS * error < (samples - 1.0) * _at(found)
 
 
 def _whole(found: Refit, series: Series) -> Refit | None:
@@ -54,11 +54,12 @@ def _whole(found: Refit, series: Series) -> Refit | None:
     null = known.log_likelihood - 0.5 * found.gain
     fewer = [k for k, *_ in found.effect.probes if k < _samples(known.theta, found)]
     size, values = found.effect.size.name, known.theta.asdict()
-    starts = [known.model.theta(values | {size: k, name: k}) for k in fewer]
+    at = _at(found)
+    starts = [known.model.theta(values | {size: at * k, name: k}) for k in fewer]
 
-    def told(at: int) -> Refit | None:
+    def told(place: int) -> Refit | None:
         try:
-            fit = quasi_ml(known.model, series, starts[at], known.free, tolerance=TOLERANCE)
+            fit = quasi_ml(known.model, series, starts[place], known.free, tolerance=TOLERANCE)
         except (EngineError, np.linalg.LinAlgError):
             return None
         gain = 2.0 * (fit.log_likelihood - null)
@@ -68,16 +69,21 @@ def _whole(found: Refit, series: Series) -> Refit | None:
         likely = log_likelihoods(known.model, [series], np.asarray(starts, float))
     except (EngineError, np.linalg.LinAlgError):
         return None
-    at = int(np.argmax(np.nan_to_num(likely, nan=-np.inf)))
-    best = told(at)
+    place = int(np.argmax(np.nan_to_num(likely, nan=-np.inf)))
+    best = told(place)
     for step in (1, -1):  # all else was bent by the longer delay, and so was the likeliest
-        while best is not None and 0 <= at + step < len(starts):
-            other = told(at + step)
+        while best is not None and 0 <= place + step < len(starts):
+            other = told(place + step)
             if other is None or not other.gain > best.gain:
                 break
-            at, best = at + step, other
+            place, best = place + step, other
     alike = best is not None and best.gain >= found.gain - ALIKE
     return best if alike and best is not None and not _is_partial(best) else None
+
+
+def _at(found: Refit) -> float:
+    """Where between now and the latest part the mean of all of it is: there, or of a moving average midway."""
+    return 0.5 if found.fit.theta.asdict().get(f"{found.effect.size.name}_evenly") else 1.0
 
 
 def _samples(theta: Theta, found: Refit) -> float:

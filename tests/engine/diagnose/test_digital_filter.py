@@ -166,3 +166,5 @@ def test_a_moving_average_of_the_logger_is_named(m, noise_too):
     assert [cause.effect for cause in found.causes] == ["delay:tacho"]
     theta = found.theta.asdict()
     assert (theta[EVENLY[1]], theta[EVENLY[2]], theta[EVENLY[3]]) == (m - 1.0, 1.0, noise_too)
+    (cause,) = found.causes
+    assert abs(cause.size - (m - 1) / 2) < 4.0 * cause.standard_error

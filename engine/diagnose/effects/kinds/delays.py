@@ -16,20 +16,20 @@ from engine.diagnose.effects.augmentation import (
     spread_at_first,
 )
 from engine.diagnose.effects.channels import Kind, at_outputs, at_terminals
-from engine.diagnose.effects.effect import Effect, Split, per_point, with_part
+from engine.diagnose.effects.effect import Effect, Split, per_point
+from engine.diagnose.effects.noise_inside import noise_inside, noise_too
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input
 
 LONGEST_DELAY = 12  # samples
-LEFT = 1e-6  # of the variance of noise that something is done to: what still comes after it
 AFFINE = 1e-9  # share of its change by which a function may bend and count as straight
 
 
 def _lag(setting: Setting, channel: str, name: str) -> Effect:
     """A share of the reading comes one sample late."""
-    noise = _noise_too(name)
+    noise = noise_too(name)
     return Effect(
         "lag",
         channel,
@@ -50,11 +50,6 @@ def _lag(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
-def _noise_too(name: str) -> Parameter:
-    """Whether what a logger does to a reading it does to the noise that was in it."""
-    return Parameter(f"{name}_noise", 0.0, "1", (0.0, 1.0), "1: to the noise as well")
-
-
 def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
     """A reading that arrives some samples late, or a part of it does; sized as that of an input is.
 
@@ -64,12 +59,12 @@ def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
     All parts up to the latest may come alike: a moving average.
     """
     evenly = Parameter(f"{name}_evenly", 0.0, "1", (0.0, 1.0), "1: a moving average until then")
-    noise = _noise_too(name)
+    noise = noise_too(name)
 
     def weights(own: Any) -> list[Any]:
         apart = _parts(own, LONGEST_DELAY)
         size, latest = np.reshape(own[0], (-1, 1)), np.reshape(own[1], (-1, 1))
-        each = np.minimum(2.0 * size / latest, 1.0) / (latest + 1.0)
+        each = np.minimum(2.0 * size / (latest + 1.0), 1.0) / latest
         alike = each * (np.arange(1, LONGEST_DELAY + 1) <= latest)
         parts = apart + np.reshape(own[2], (-1, 1)) * (alike - apart)
         return list(parts[0] if len(parts) == 1 else parts.T)
@@ -116,7 +111,7 @@ def _late_reading(
         late = weights(own)
         return (1.0 - sum(late)) ** 2 + sum(weight**2 for weight in late)
 
-    model, split = _noise_inside(base, setting, channel, kept), Split(base)
+    model, split = noise_inside(base, setting, channel, kept), Split(base)
     row, nx, nz = list(model.outputs).index(channel), model.nx, model.nz
     shift, hold = np.eye(depth, k=-1), np.eye(depth)
     u1 = np.array([setting.first(name) for name in model.inputs])
@@ -157,40 +152,6 @@ def _late_reading(
     states = _register(setting, channel, depth)
     late = add_linear_states(model, parts, states, dynamics, begin, measurement=measurement)
     return replace(late, steps_counted=setting.substeps)
-
-
-def _noise_inside(
-    model: MixedModel, setting: Setting, channel: str, kept: Callable[[Any], Any]
-) -> MixedModel:
-    """The model with noise on a reading before anything is done to it, where the last of ``own`` is 1.
-
-    It is a state then, and so large that what is ``kept`` of its variance is R. Nearly none comes afterwards.
-    """
-    split, row = Split(model), list(model.outputs).index(channel)
-    u1 = np.array([setting.first(name) for name in model.inputs])
-
-    def variance(a: Array, u: Any, t: Any, record: Any, own: Any) -> Any:
-        R = model.observation(a, u, t, record)[2]
-        return own[-1] * (1.0 - LEFT) / kept(own) * R[..., row, row]
-
-    def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
-        at_first = np.mean(variance(a, u1, setting.span[0], record, own))
-        return np.zeros((len(a), 1)), np.zeros((1, model.nz)), at_first
-
-    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-        record, own = split(theta)
-        step = model.transition(a, u, t, dt, record)
-        return beside(step, len(a), [[0.0]], variance(a, u, t, record, own))
-
-    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        record, own = split(theta)
-        h, C, R = model.observation(a, u, t, record)
-        C = np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1)
-        C[..., row, -1] = 1.0
-        return h, C, with_part(R, row, 1.0 - own[-1] * (1.0 - LEFT), len(a))
-
-    states = {f"noise_{channel}": setting.unit(channel)}
-    return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
 
 
 def _blocks(now: Any, shift: Array, hold: Array) -> Any:

@@ -25,8 +25,8 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
 from engine.diagnose.effects.channels import Kind, at_outputs
-from engine.diagnose.effects.effect import Effect, Split, per_point, with_part
-from engine.diagnose.effects.kinds.delays import LEFT
+from engine.diagnose.effects.effect import Effect, Split, per_point
+from engine.diagnose.effects.noise_inside import LEFT, noise_too, with_part
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.evaluation import hands_rows_on
@@ -49,7 +49,7 @@ def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
             Parameter(
                 f"{name}_digital", 0.0, "1", (0.0, 1.0), "1: a digital filter, 0: the sensor itself"
             ),
-            Parameter(f"{name}_noise", 0.0, "1", (0.0, 1.0), "1: the noise is smoothed as well"),
+            noise_too(name),
         ),
         lambda model: _late(model, setting, channel),
         probes=((0.0, 0.0),),
